@@ -1,0 +1,57 @@
+"""Derivatives of the arm's pose by its joint angles and by its MDH parameters, in closed form.
+
+A column is a twist in the base frame: ``shift`` (mm) of the point that currently lies at the base's origin, then the
+``rotation`` vector (rad), so that a point p of the last link moves by ``shift + rotation x p``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.arm.mdh import PARAMETERS, MdhArm, joint_transforms
+
+Floats = NDArray[np.float64]
+
+
+def joint_twists(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Twists (..., 6, n) of the last link per radian of each joint, at joint angles (..., n)."""
+    frames = joint_transforms(arm, q_rad)[..., 1:, :, :]
+    return _turn_about(frames[..., :3, 2], frames[..., :3, 3])
+
+
+def parameter_twists(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Twists (..., 6, 5 n) of the last link per unit of each MDH parameter; columns joint by joint as ``PARAMETERS``.
+
+    They are the columns of Q_i M_i in Eqs 12-14 of the first paper.
+    """
+    frames = joint_transforms(arm, q_rad)
+    before, after = frames[..., :-1, :, :], frames[..., 1:, :, :]
+    x_axis = before[..., :3, 0]
+    # The tilted frame between Tx(a) and Ry(beta) has its y axis where Rx(alpha) leaves it and its origin behind Tx(a).
+    alpha, a = arm.table[:, 0], arm.table[:, 1]
+    y_axis = before[..., :3, 1] * np.cos(alpha)[:, None] + before[..., :3, 2] * np.sin(alpha)[:, None]
+    tilt_origin = before[..., :3, 3] + a[:, None] * x_axis
+    z_axis = after[..., :3, 2]
+    columns = np.empty((*after.shape[:-3], 6, arm.n, len(PARAMETERS)))
+    columns[..., 0] = _turn_about(x_axis, before[..., :3, 3])
+    columns[..., 1] = _shift_along(x_axis)
+    columns[..., 2] = _shift_along(z_axis)
+    columns[..., 3] = _turn_about(z_axis, after[..., :3, 3])
+    columns[..., 4] = _turn_about(y_axis, tilt_origin)
+    return columns.reshape(*columns.shape[:-2], -1)
+
+
+def moved_by_twist(twists: ArrayLike, points_base: ArrayLike) -> Floats:
+    """Velocities (..., 3, K) that twists (..., 6, K) give to points (..., 3) of the last link, in the base frame."""
+    twists = np.asarray(twists, dtype=float)
+    points = np.asarray(points_base, dtype=float)
+    return twists[..., :3, :] + np.cross(twists[..., 3:, :], points[..., :, None], axis=-2)
+
+
+def _turn_about(axes: Floats, origins: Floats) -> Floats:
+    return np.swapaxes(np.concatenate([np.cross(origins, axes), axes], axis=-1), -1, -2)
+
+
+def _shift_along(axes: Floats) -> Floats:
+    return np.swapaxes(np.concatenate([axes, np.zeros_like(axes)], axis=-1), -1, -2)

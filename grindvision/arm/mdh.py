@@ -1,0 +1,135 @@
+"""Modified Denavit-Hartenberg tables with Hayati's tilt: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)`` per joint.
+
+Craig's convention: row i holds alpha_{i-1}, a_{i-1}, d_i, theta_i. The tilt beta stands before the joint turns, where two
+nominally parallel axes need it; behind the joint it would only mimic the next theta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import InputError, UnitError
+from grindvision.files import read_table, write_text
+
+Floats = NDArray[np.float64]
+
+#: The five parameters of a joint, in the order of every parameter vector, table and Jacobian.
+PARAMETERS = ("alpha_rad", "a_mm", "d_mm", "theta_rad", "beta_rad")
+
+
+@dataclass(frozen=True)
+class MdhArm:
+    """A serial arm of revolute joints.
+
+    ``table`` (n, 5): one row per joint, columns as ``PARAMETERS``; ``theta_rad`` is the offset added to the joint angle.
+    ``joints`` names the rows. The array is read-only; ``with_table`` and ``changed_by`` make a new arm.
+    """
+
+    table: Floats
+    joints: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        table = np.array(self.table, dtype=float)
+        if table.ndim != 2 or table.shape[1] != 5 or len(table) == 0:
+            raise InputError(f"an MDH table has shape (joints, 5), got {table.shape}")
+        if not np.isfinite(table).all():
+            raise InputError("the MDH table holds NaN or infinity")
+        if len(self.joints) != len(table):
+            raise InputError(f"{len(self.joints)} joint names for {len(table)} rows")
+        angles = np.abs(table[:, [0, 3, 4]])
+        if angles.max() > 2 * np.pi + 1e-9:
+            raise UnitError(f"an angle of {angles.max():.4g} in the MDH table looks like degrees; give radians")
+        table.setflags(write=False)
+        object.__setattr__(self, "table", table)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.table)
+
+    def with_table(self, table: ArrayLike) -> MdhArm:
+        """Return the same joints with another table (n, 5)."""
+        return replace(self, table=np.asarray(table, dtype=float))
+
+    def changed_by(self, delta: ArrayLike) -> MdhArm:
+        """Return the arm with ``delta`` (n, 5) or (5 n,), row by row, added to its table."""
+        return self.with_table(self.table + np.reshape(np.asarray(delta, dtype=float), self.table.shape))
+
+    def first(self, joints: int) -> MdhArm:
+        """Return the arm that ends at joint number ``joints`` (1 is the first)."""
+        if not 1 <= joints <= self.n:
+            raise InputError(f"joint {joints} asked for; the arm has joints 1 to {self.n}")
+        return MdhArm(self.table[:joints], self.joints[:joints])
+
+    def __str__(self) -> str:
+        return (
+            f"arm of {self.n} revolute joints, links {np.hypot(self.table[:, 1], self.table[:, 2]).sum():.1f} mm in all"
+        )
+
+
+def read_arm(path: str | Path) -> MdhArm:
+    """Read a robot CSV: ``joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad``, one row per joint from the base.
+
+    Raises:
+        FileError: missing, damaged, a column missing, text where a number belongs. UnitError: angles in degrees.
+    """
+    table = read_table(path, PARAMETERS, texts=("joint",))
+    try:
+        return MdhArm(table[list(PARAMETERS)].to_numpy(dtype=float), tuple(str(name) for name in table["joint"]))
+    except UnitError as error:
+        raise UnitError(f"{path}: {error}") from None
+
+
+def write_arm(arm: MdhArm, path: str | Path) -> None:
+    """Write the robot CSV that ``read_arm`` reads, every number to full precision."""
+    rows = [",".join((name, *(repr(float(v)) for v in row))) for name, row in zip(arm.joints, arm.table, strict=True)]
+    write_text(path, "\n".join((",".join(("joint", *PARAMETERS)), *rows)) + "\n")
+
+
+def link_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Transforms T_{i-1}_i of every link (..., n, 4, 4) at joint angles (..., n)."""
+    q = check_angles(arm, q_rad)
+    alpha, a, d, theta, beta = arm.table.T
+    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    ct, st = np.cos(q + theta), np.sin(q + theta)
+    links = np.zeros((*q.shape, 4, 4))
+    links[..., 0, 0], links[..., 0, 1], links[..., 0, 2] = cb * ct, -cb * st, sb
+    links[..., 1, 0], links[..., 1, 1], links[..., 1, 2] = ca * st + sa * sb * ct, ca * ct - sa * sb * st, -sa * cb
+    links[..., 2, 0], links[..., 2, 1], links[..., 2, 2] = sa * st - ca * sb * ct, sa * ct + ca * sb * st, ca * cb
+    links[..., 0, 3] = a + d * sb
+    links[..., 1, 3] = -d * sa * cb
+    links[..., 2, 3] = d * ca * cb
+    links[..., 3, 3] = 1.0
+    return links
+
+
+def joint_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Transforms T_base_i of the base (identity) and of every joint frame, (..., n + 1, 4, 4)."""
+    links = link_transforms(arm, q_rad)
+    chain = [np.broadcast_to(np.eye(4), links.shape[:-3] + (4, 4))]
+    for i in range(arm.n):
+        chain.append(chain[-1] @ links[..., i, :, :])
+    return np.stack(chain, axis=-3)
+
+
+def forward(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Transform T_base_joint (..., 4, 4) of the last joint frame at joint angles (..., n), Eq 7 of the first paper."""
+    return joint_transforms(arm, q_rad)[..., -1, :, :]
+
+
+def check_angles(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+    """Return joint angles as floats (..., n).
+
+    Raises:
+        InputError: not n angles per pose, or NaN.
+    """
+    q = np.asarray(q_rad, dtype=float)
+    if q.ndim == 0 or q.shape[-1] != arm.n:
+        raise InputError(f"joint angles have shape {q.shape}; this arm needs (..., {arm.n})")
+    if not np.isfinite(q).all():
+        raise InputError("joint angles hold NaN or infinity")
+    return q

@@ -1,0 +1,1 @@
+"""Runs chapters, saves figures and tables, keeps the scoreboard, builds the HTML book."""

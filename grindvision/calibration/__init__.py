@@ -1,0 +1,1 @@
+"""Sphere centres in, calibrated cell out. Never sees the virtual cell or the papers."""

@@ -1,0 +1,33 @@
+"""Every error this package raises on purpose: its message names what was wrong, the value seen, and what to do."""
+
+
+class GrindvisionError(Exception):
+    """Base of all errors of this package. The command line turns it into one line on stderr and exit code 2."""
+
+
+class GrindvisionWarning(UserWarning):
+    """Something the user should know, though the result stands."""
+
+
+class InputError(GrindvisionError):
+    """An argument, file or table cannot be used as it is."""
+
+
+class FileError(InputError):
+    """A file is missing, damaged, of an unknown format, or cannot be written."""
+
+
+class UnitError(InputError):
+    """Numbers look like another unit than the one stated (metres for millimetres, degrees for radians)."""
+
+
+class NotRigidError(InputError):
+    """A 4x4 matrix is not a rigid transform."""
+
+
+class DegenerateError(GrindvisionError):
+    """The data do not determine the answer: too few points, collinear points, a free motion."""
+
+
+class UnreachableError(GrindvisionError):
+    """No joint angles reach the pose asked for."""

@@ -1,0 +1,280 @@
+"""Fits to point sets: rigid motion, plane and sphere, by least squares and by RANSAC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry.transforms import rigid
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class RigidFit:
+    """The rigid motion that best maps one point list onto another.
+
+    ``T_target_source`` (4, 4), ``residuals_mm`` (N, 3) = target - moved source, ``rms_mm`` of their lengths.
+    """
+
+    T_target_source: Floats
+    residuals_mm: Floats
+    rms_mm: float
+
+    def __str__(self) -> str:
+        return f"rigid fit of {len(self.residuals_mm)} pairs: rms {self.rms_mm:.3g} mm"
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """Plane ``normal . p = offset_mm`` with unit ``normal`` (3,), ``covariance`` (3, 3) of tilt, tilt and offset.
+
+    ``axes`` (2, 3) span the plane; the covariance belongs to the rotations about them (rad) and to the shift along the
+    normal at ``centre_mm`` (mm). ``inliers`` (N,) marks the points used.
+    """
+
+    normal: Floats
+    offset_mm: float
+    centre_mm: Floats
+    axes: Floats
+    covariance: Floats
+    rms_mm: float
+    inliers: Flags
+
+    def distance(self, points: ArrayLike) -> Floats:
+        """Signed distances (N,) in mm of points (N, 3), positive on the side of the normal."""
+        return np.asarray(points, dtype=float) @ self.normal - self.offset_mm
+
+    def __str__(self) -> str:
+        return f"plane through {int(self.inliers.sum())} points: rms {self.rms_mm:.3g} mm"
+
+
+@dataclass(frozen=True)
+class SphereFit:
+    """Sphere with ``centre_mm`` (3,) and ``radius_mm``; ``centre_covariance`` (3, 3) in mm squared.
+
+    The covariance follows from the residuals' rms and the points' spread over the sphere: a small cap is uncertain along
+    its axis. ``inliers`` (N,) marks the points used.
+    """
+
+    centre_mm: Floats
+    radius_mm: float
+    centre_covariance: Floats
+    rms_mm: float
+    inliers: Flags
+
+    def distance(self, points: ArrayLike) -> Floats:
+        """Signed distances (N,) in mm of points (N, 3) from the surface, positive outside."""
+        return np.linalg.norm(np.asarray(points, dtype=float) - self.centre_mm, axis=1) - self.radius_mm
+
+    def __str__(self) -> str:
+        x, y, z = self.centre_mm
+        return f"sphere at ({x:.3f}, {y:.3f}, {z:.3f}) mm, radius {self.radius_mm:.3f} mm, rms {self.rms_mm:.3g} mm"
+
+
+def check_points(points: ArrayLike, name: str, least: int = 1) -> Floats:
+    """Return ``points`` as float64 (N, 3) with N >= ``least`` and finite entries.
+
+    Raises:
+        InputError: wrong shape or NaN. DegenerateError: fewer points than ``least``.
+    """
+    try:
+        array = np.asarray(points, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} are not numbers; expected an array of shape (N, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"{name} have shape {array.shape}; expected (N, 3)")
+    if len(array) < least:
+        raise DegenerateError(f"{name}: {len(array)} points given, at least {least} needed")
+    bad = ~np.isfinite(array).all(axis=1)
+    if bad.any():
+        raise InputError(f"{name}: {int(bad.sum())} of {len(array)} points hold NaN or infinity; drop them first")
+    return array
+
+
+def fit_rigid(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> RigidFit:
+    """Rigid motion that maps ``source`` (N, 3) onto ``target`` (N, 3) with least squared distance; never a reflection.
+
+    Args:
+        source: points in the source frame, mm.
+        target: the same points in the target frame, same order.
+        weights: (N,) non-negative; equal when left out.
+
+    Raises:
+        InputError: shapes differ. DegenerateError: fewer than three points, or points on one line.
+    """
+    source = check_points(source, "source points", least=3)
+    target = check_points(target, "target points", least=3)
+    if source.shape != target.shape:
+        raise InputError(f"source {source.shape} and target {target.shape} points must come in pairs")
+    if weights is None:
+        w = np.full(len(source), 1 / len(source))
+    else:
+        w = np.asarray(weights, dtype=float)
+        if w.shape != (len(source),) or not np.isfinite(w).all() or (w < 0).any() or w.sum() == 0:
+            raise InputError(f"weights must be {len(source)} non-negative numbers, not all zero")
+        w = w / w.sum()
+    centre_source, centre_target = w @ source, w @ target
+    for name, points, centre in (("source", source, centre_source), ("target", target, centre_target)):
+        spread = np.linalg.svd(np.sqrt(w)[:, None] * (points - centre), compute_uv=False)
+        if spread[1] <= 1e-9 * max(spread[0], np.abs(points).max() * 1e-6):
+            raise DegenerateError(f"the {name} points lie on one line or coincide; the rotation about it is free")
+    u, _, vt = np.linalg.svd((target - centre_target).T @ (w[:, None] * (source - centre_source)))
+    rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    transform = rigid(rotation, centre_target - rotation @ centre_source)
+    residuals = target - (source @ rotation.T + transform[:3, 3])
+    return RigidFit(transform, residuals, float(np.sqrt(w @ (residuals**2).sum(axis=1))))
+
+
+def fit_plane(points: ArrayLike) -> PlaneFit:
+    """Total least squares plane through points (N, 3), N >= 3.
+
+    Raises:
+        DegenerateError: fewer than three points, or points on one line.
+    """
+    points = check_points(points, "plane points", least=3)
+    return _plane_through(points, np.ones(len(points), dtype=bool))
+
+
+def ransac_plane(points: ArrayLike, threshold_mm: float, rng: np.random.Generator, iterations: int = 500) -> PlaneFit:
+    """Plane with the most points within ``threshold_mm``, refined by least squares on them.
+
+    Raises:
+        DegenerateError: no three points span a plane.
+    """
+    points = check_points(points, "plane points", least=3)
+
+    def model(sample: Floats) -> Callable[[Floats], Floats] | None:
+        normal = np.cross(sample[1] - sample[0], sample[2] - sample[0])
+        length = np.linalg.norm(normal)
+        if length < 1e-12:
+            return None
+        return lambda p: np.abs((p - sample[0]) @ (normal / length))
+
+    inliers = _consensus(points, 3, model, threshold_mm, rng, iterations)
+    fit = _plane_through(points, inliers)
+    return _plane_through(points, np.abs(fit.distance(points)) <= threshold_mm)
+
+
+def fit_sphere(points: ArrayLike, radius_mm: float | None = None) -> SphereFit:
+    """Least squares (geometric distance) sphere through points (N, 3); the radius free, or fixed when given.
+
+    Raises:
+        DegenerateError: fewer than four points (three with the radius given), or points on one plane's circle.
+    """
+    points = check_points(points, "sphere points", least=4 if radius_mm is None else 3)
+    return _sphere_through(points, np.ones(len(points), dtype=bool), radius_mm)
+
+
+def ransac_sphere(
+    points: ArrayLike,
+    threshold_mm: float,
+    rng: np.random.Generator,
+    radius_mm: float | None = None,
+    iterations: int = 500,
+) -> SphereFit:
+    """Sphere with the most points within ``threshold_mm`` of its surface, refined by least squares on them.
+
+    With ``radius_mm`` given, only spheres within 20 % of it are tried, and the refined one has exactly that radius.
+
+    Raises:
+        DegenerateError: no four points span such a sphere.
+    """
+    points = check_points(points, "sphere points", least=4)
+
+    def model(sample: Floats) -> Callable[[Floats], Floats] | None:
+        edges = 2 * (sample[1:] - sample[0])
+        if abs(np.linalg.det(edges)) < 1e-9:
+            return None
+        centre = np.linalg.solve(edges, (sample[1:] ** 2).sum(axis=1) - (sample[0] ** 2).sum())
+        radius = np.linalg.norm(sample[0] - centre)
+        if radius_mm is not None and abs(radius - radius_mm) > 0.2 * radius_mm:
+            return None
+        return lambda p: np.abs(np.linalg.norm(p - centre, axis=1) - (radius if radius_mm is None else radius_mm))
+
+    inliers = _consensus(points, 4, model, threshold_mm, rng, iterations)
+    for _ in range(3):
+        fit = _sphere_through(points, inliers, radius_mm)
+        inliers = np.abs(fit.distance(points)) <= threshold_mm
+    return _sphere_through(points, inliers, radius_mm)
+
+
+def _consensus(
+    points: Floats,
+    sample_size: int,
+    model: Callable[[Floats], Callable[[Floats], Floats] | None],
+    threshold_mm: float,
+    rng: np.random.Generator,
+    iterations: int,
+) -> Flags:
+    if not threshold_mm > 0:
+        raise InputError(f"the RANSAC threshold is {threshold_mm} mm; it must be above zero")
+    scored = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
+    best, best_distance = 0, None
+    for trial in range(1, iterations + 1):
+        distance = model(points[rng.choice(len(points), sample_size, replace=False)])
+        if distance is None:
+            continue
+        count = int((distance(scored) <= threshold_mm).sum())
+        if count > best:
+            best, best_distance = count, distance
+        if best and 1e-6 > (1 - (best / len(scored)) ** sample_size) ** trial:
+            break
+    inliers = None if best_distance is None else best_distance(points) <= threshold_mm
+    if inliers is None or inliers.sum() < sample_size:
+        raise DegenerateError(
+            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold and that the shape is there"
+        )
+    return inliers
+
+
+def _plane_through(points: Floats, inliers: Flags) -> PlaneFit:
+    used = points[inliers]
+    if len(used) < 3:
+        raise DegenerateError(f"only {len(used)} points left on the plane; at least 3 needed")
+    centre = used.mean(axis=0)
+    _, spread, axes = np.linalg.svd(used - centre, full_matrices=False)
+    if spread[1] <= 1e-9 * max(spread[0], np.abs(used).max() * 1e-6):
+        raise DegenerateError("the points lie on one line; a plane needs three that do not")
+    normal = axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))])
+    residuals = (used - centre) @ normal
+    variance = residuals @ residuals / max(len(used) - 3, 1)
+    covariance = variance * np.diag([1 / spread[1] ** 2, 1 / spread[0] ** 2, 1 / len(used)])
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    return PlaneFit(normal, float(normal @ centre), centre, axes[:2], covariance, rms, inliers)
+
+
+def _sphere_through(points: Floats, inliers: Flags, radius_mm: float | None) -> SphereFit:
+    used = points[inliers]
+    least = 4 if radius_mm is None else 3
+    if len(used) < least:
+        raise DegenerateError(f"only {len(used)} points left on the sphere; at least {least} needed")
+    origin = used.mean(axis=0)
+    p = used - origin
+    design = np.column_stack([2 * p, np.ones(len(p))])
+    solution, _, rank, _ = np.linalg.lstsq(design, (p**2).sum(axis=1), rcond=1e-9)
+    if rank < 4:
+        raise DegenerateError("the points lie on one plane; a sphere needs four that do not")
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 0))) if radius_mm is None else float(radius_mm)
+    for _ in range(50):
+        rays = p - centre
+        lengths = np.linalg.norm(rays, axis=1)
+        jacobian = -rays / lengths[:, None]
+        if radius_mm is None:
+            jacobian = np.column_stack([jacobian, -np.ones(len(p))])
+        step, *_ = np.linalg.lstsq(jacobian, -(lengths - radius), rcond=None)
+        centre = centre + step[:3]
+        if radius_mm is None:
+            radius += float(step[3])
+        if np.abs(step).max() < 1e-10:
+            break
+    residuals = np.linalg.norm(p - centre, axis=1) - radius
+    variance = residuals @ residuals / max(len(p) - jacobian.shape[1], 1)
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)[:3, :3]
+    return SphereFit(centre + origin, radius, covariance, float(np.sqrt(np.mean(residuals**2))), inliers)

@@ -1,0 +1,1 @@
+"""Path points in, robot programme out."""

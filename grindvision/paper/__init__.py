@@ -1,0 +1,1 @@
+"""What the papers print: tables, transforms, expected values with tolerances."""

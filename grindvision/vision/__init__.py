@@ -1,0 +1,1 @@
+"""A cloud in, path points out. Never sees the virtual cell or the papers."""
