@@ -1,1 +1,14 @@
 """What the papers print: tables, transforms, expected values with tolerances."""
+
+from grindvision.paper.printed import (
+    TABLES,
+    data_folder,
+    expected,
+    hand_eye,
+    headline,
+    mdh_corrections,
+    path_points,
+    table,
+)
+
+__all__ = ["TABLES", "data_folder", "expected", "hand_eye", "headline", "mdh_corrections", "path_points", "table"]
