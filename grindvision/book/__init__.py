@@ -1,1 +1,18 @@
 """Runs chapters, saves figures and tables, keeps the scoreboard, builds the HTML book."""
+
+from grindvision.book.figures import save_figure, save_scene, save_table
+from grindvision.book.scoreboard import answer, scoreboard, verdicts
+from grindvision.book.session import COLOURS, fast, provenance, start
+
+__all__ = [
+    "COLOURS",
+    "answer",
+    "fast",
+    "provenance",
+    "save_figure",
+    "save_scene",
+    "save_table",
+    "scoreboard",
+    "start",
+    "verdicts",
+]
