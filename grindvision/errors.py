@@ -31,3 +31,7 @@ class DegenerateError(GrindvisionError):
 
 class UnreachableError(GrindvisionError):
     """No joint angles reach the pose asked for."""
+
+
+class SightError(InputError):
+    """A scanner's pose shows it nothing, or nothing within its measuring range."""

@@ -1,1 +1,1 @@
-"""The virtual cell: arms, scanners and workpieces that make scans with ground truth."""
+"""The virtual cell: arms, scanners and workpieces that make scans and measurements with ground truth."""
