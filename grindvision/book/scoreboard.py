@@ -95,14 +95,17 @@ def write_scoreboard(folder: Path) -> pd.DataFrame:
     """Judge the answers in ``folder``, write ``scoreboard.csv`` and ``scoreboard.md`` there, and return the table."""
     table = scoreboard(folder)
     write_text(folder / "scoreboard.csv", csv_text(table))
-    counts = ", ".join(f"{(table['verdict'] == verdict).sum()} {verdict}" for verdict in VERDICTS)
     shown = table.assign(
         figure=[f"[{name}]({name}.{_suffix(folder, name)})" if name else "" for name in table["figure"]]
     )
-    write_text(
-        folder / "scoreboard.md", f"# Scoreboard\n\n{len(table)} numbers: {counts}.\n\n{markdown_table(shown)}\n"
-    )
+    write_text(folder / "scoreboard.md", f"# Scoreboard\n\n{summary(table)}.\n\n{markdown_table(shown)}\n")
     return table
+
+
+def summary(table: pd.DataFrame) -> str:
+    """How many numbers of a scoreboard have which verdict, in one line."""
+    counts = ", ".join(f"{(table['verdict'] == word).sum()} {word}" for word in VERDICTS)
+    return f"{len(table)} numbers: {counts}"
 
 
 def judged(answers: pd.DataFrame) -> pd.DataFrame:
