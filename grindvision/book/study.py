@@ -168,12 +168,8 @@ def _on_cluster(
             f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler`"
         ) from None
     with client:
-        shared = client.scatter(measure, broadcast=True) if missing else None
-        tasks = (
-            client.submit(_measured, shared, case, values, seed, key=f"case-{case}", pure=False)
-            for case, values in missing.items()
-        )
-        running = as_completed(islice(tasks, IN_FLIGHT), with_results=True)
+        tasks = (client.submit(_measured, measure, case, values, seed, pure=False) for case, values in missing.items())
+        running = as_completed(islice(tasks, IN_FLIGHT), loop=client.loop, with_results=True)
         for _, row in running:
             yield row
             running.update(islice(tasks, 1))

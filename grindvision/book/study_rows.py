@@ -67,12 +67,10 @@ class RowsFile:
 
     def finish(self) -> pd.DataFrame:
         """Sort the file by case, and return its rows with numbers as numbers."""
-        import pandas as pd
-
         texts = self._texts()
-        write_text(self.path, texts.iloc[texts["case"].astype(int).argsort()].to_csv(index=False, lineterminator="\n"))
-        table = pd.read_csv(self.path, float_precision="round_trip", dtype={"error": str, "code": str})
-        return table.assign(error=table["error"].fillna(""))
+        texts = texts.iloc[texts["case"].astype(int).argsort()].reset_index(drop=True)
+        write_text(self.path, texts.to_csv(index=False, lineterminator="\n"))
+        return texts.apply(lambda column: column if column.name in ("code", "error") else _from_text(column))
 
     def _open(self) -> None:
         try:
@@ -132,6 +130,17 @@ def as_text(value: Any) -> str:
     if hasattr(value, "item"):
         value = value.item()
     return " ".join(value.split()) if isinstance(value, str) else str(value)
+
+
+def _from_text(column: pd.Series) -> pd.Series:
+    if column.isin(("True", "False")).all():
+        return column == "True"
+    for number in (int, float):
+        try:
+            return column.replace("", "nan").astype(number)
+        except ValueError:
+            continue
+    return column
 
 
 def _csv(lines: Iterable[Iterable[str]]) -> str:
