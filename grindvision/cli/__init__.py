@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import NoReturn
 
 from grindvision import __version__
 from grindvision.errors import GrindvisionError, GrindvisionWarning
@@ -23,7 +25,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 when done, 2 on bad input (one line on stderr), 1 on anything else."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="grindvision",
         description="Robot vision for grinding and welding, and the experiment book of both papers.",
         epilog="`grindvision COMMAND --help` explains a command.",
@@ -48,6 +50,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"grindvision {options.command}: interrupted; nothing half-written is left", file=sys.stderr)
         return 1
+    except Exception as error:
+        if os.environ.get("GRINDVISION_DEBUG"):
+            raise
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        hint = "a defect of grindvision; please report it with the traceback that GRINDVISION_DEBUG=1 shows"
+        print(f"grindvision {options.command}: {reason} ({hint})", file=sys.stderr)
+        return 1
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; `{self.prog} --help` lists what it takes\n")
 
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:

@@ -1,0 +1,75 @@
+"""The door: exit codes, one line on stderr, and nothing heavy loaded before it is needed."""
+
+import subprocess
+import sys
+
+import pytest
+
+from grindvision import cli
+from grindvision.errors import GrindvisionWarning, InputError
+
+
+def command(monkeypatch, run):
+    """Put a command of our own behind the name ``simulate``."""
+    import types
+
+    module = types.ModuleType("grindvision.cli.simulate")
+    module.add_arguments = lambda parser: parser.add_argument("--seed", type=int, required=True)
+    module.run = run
+    monkeypatch.setitem(sys.modules, "grindvision.cli.simulate", module)
+
+
+def test_a_finished_command_exits_with_0_and_gets_its_options(monkeypatch):
+    seen = []
+    command(monkeypatch, lambda options: seen.append(options.seed) or 0)
+    assert cli.main(["simulate", "--seed", "7"]) == 0
+    assert seen == [7]
+
+
+def test_bad_input_is_one_line_and_exit_2(monkeypatch, capsys):
+    def run(_):
+        raise InputError("the cloud\nis empty; scan again")
+
+    command(monkeypatch, run)
+    assert cli.main(["simulate", "--seed", "7"]) == 2
+    assert capsys.readouterr().err == "grindvision simulate: the cloud is empty; scan again\n"
+
+
+def test_a_defect_is_one_line_and_exit_1(monkeypatch, capsys):
+    command(monkeypatch, lambda _: 1 / 0)
+    monkeypatch.delenv("GRINDVISION_DEBUG", raising=False)
+    assert cli.main(["simulate", "--seed", "7"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "ZeroDivisionError" in error and "GRINDVISION_DEBUG" in error
+
+
+def test_a_warning_is_one_line_and_the_result_stands(monkeypatch, capsys):
+    import warnings
+
+    def run(_):
+        warnings.warn("two points\ndropped", GrindvisionWarning, stacklevel=1)
+        return 0
+
+    command(monkeypatch, run)
+    assert cli.main(["simulate", "--seed", "7"]) == 0
+    assert capsys.readouterr().err == "warning: two points dropped\n"
+
+
+@pytest.mark.parametrize("words", [["simulate"], ["simulate", "--seed", "x"], ["paint"], []])
+def test_wrong_words_are_one_line_and_exit_2(monkeypatch, capsys, words):
+    command(monkeypatch, lambda _: 0)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(words)
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_help_loads_nothing_heavy():
+    heavy = ("numpy", "scipy", "pandas", "open3d", "pinocchio", "pyvista", "matplotlib", "numba")
+    code = (
+        "import sys, contextlib, io\nfrom grindvision.cli import main\n"
+        "with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):\n    main(['--help'])\n"
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"

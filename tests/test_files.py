@@ -1,0 +1,70 @@
+"""Files are read checked and written whole or not at all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from grindvision.errors import FileError
+from grindvision.files import read_table, sha256, write_json, write_text, write_whole
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path):
+    target = tmp_path / "report.txt"
+    write_text(target, "old")
+    with pytest.raises(KeyboardInterrupt), write_whole(target) as temporary:
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+    assert target.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.txt"]
+
+
+def test_writing_below_a_file_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match=r"cannot write .*choose a folder"):
+        write_text(tmp_path / "file" / "report.txt", "x")
+
+
+def test_json_holds_plain_numbers_and_null_for_nan(tmp_path):
+    write_json(
+        tmp_path / "a.json", {"T": np.eye(2), "sd": float("nan"), "n": np.int64(3), "row": np.array([1.0, np.nan])}
+    )
+    assert json.loads((tmp_path / "a.json").read_text()) == {
+        "T": [[1.0, 0.0], [0.0, 1.0]],
+        "sd": None,
+        "n": 3,
+        "row": [1.0, None],
+    }
+
+
+def test_the_digest_of_a_known_text(tmp_path):
+    (tmp_path / "abc").write_bytes(b"abc")
+    assert sha256(tmp_path / "abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "not a readable CSV"),
+        ("x_mm\n", "no rows"),
+        ("y_mm\n1\n", "column x_mm missing; found y_mm"),
+        ("x_mm\n1\nfar\n", "row 2, column x_mm: 'far' is not a finite number"),
+        ("x_mm,y\n1,1\nnan,1\n", "is not a finite number"),
+        ("x_mm\ninf\n", "is not a finite number"),
+    ],
+)
+def test_a_damaged_table_is_refused_with_its_place(tmp_path, content, message):
+    path = tmp_path / "table.csv"
+    path.write_text(content)
+    with pytest.raises(FileError, match=message) as caught:
+        read_table(path, ["x_mm"])
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_table_and_a_binary_one_are_named(tmp_path):
+    with pytest.raises(FileError, match="no such file"):
+        read_table(tmp_path / "none.csv", ["x_mm"])
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(FileError):
+        read_table(tmp_path / "binary.csv", ["x_mm"])

@@ -1,0 +1,101 @@
+"""The printed numbers are complete, agree with each other where the papers say so, and are checked when loaded."""
+
+import numpy as np
+import pytest
+
+from grindvision import paper
+from grindvision.errors import FileError, InputError
+from grindvision.geometry import check_rigid
+
+
+@pytest.fixture
+def damaged(tmp_path, monkeypatch):
+    """A copy of the printed data in which one file may be damaged."""
+    import shutil
+
+    folder = tmp_path / "data"
+    shutil.copytree(paper.data_folder(), folder)
+    monkeypatch.setenv("GRINDVISION_DATA", str(folder))
+    return folder / "paper"
+
+
+@pytest.mark.parametrize("name", list(paper.TABLES))
+def test_every_printed_table_loads_and_is_numeric(name):
+    key, numbers = paper.TABLES[name]
+    table = paper.table(name)
+    assert list(table.columns) == [key, *numbers]
+    assert np.isfinite(table[list(numbers)].to_numpy(dtype=float)).all()
+
+
+def test_printed_errors_of_table_1_are_height_minus_target():
+    table = paper.table("diao2018_table1")
+    error = np.abs(table["measured_height_mm"] - paper.headline("target_height"))
+    np.testing.assert_allclose(error, table["absolute_error_mm"], atol=1e-9)
+    assert round(error.mean(), 4) == paper.headline("height_mean_absolute_error")
+
+
+def test_printed_means_of_the_second_papers_table_2_follow_from_its_tests():
+    table = paper.table("peng2020_table2")
+    mean = table.filter(like="test").mean(axis=1)
+    np.testing.assert_allclose(mean, table["mean_percent"], atol=0.0051)
+
+
+@pytest.mark.parametrize("matrix", ["coarse", "accurate"])
+def test_printed_hand_eye_matrices_are_rigid_to_the_rounding_of_print(matrix):
+    printed = paper.hand_eye(matrix, as_printed=True)
+    check_rigid(printed, matrix, tolerance=2e-4)
+    rigid = check_rigid(paper.hand_eye(matrix), matrix, tolerance=1e-12)
+    assert np.abs(rigid - printed).max() < 1e-4
+
+
+def test_corrections_of_table_2_are_in_radians_and_millimetres():
+    corrections = paper.mdh_corrections()
+    assert corrections.shape == (4, 5)
+    assert np.abs(corrections[:, [0, 3, 4]]).max() == pytest.approx(np.radians(0.0088))
+    assert corrections[0, 2] == -3.1596
+
+
+def test_every_expected_number_has_a_tolerance_a_reason_and_a_chapter():
+    expected = paper.expected()
+    assert (expected["tolerance"] >= 0).all()
+    assert (expected["tolerance_fast"] >= expected["tolerance"]).all()
+    assert expected["reason"].str.len().gt(10).all()
+    assert expected["chapter"].str.fullmatch(r"\d\d").all()
+    assert set(expected["better"]) <= {"", "lower", "higher"}
+
+
+def test_expected_values_are_those_of_the_printed_tables():
+    expected = paper.expected().set_index(["item", "quantity"])["paper"]
+    for position, height in paper.table("diao2018_table1")[["position", "measured_height_mm"]].itertuples(index=False):
+        assert expected["table1", f"height at {position}"] == height
+    for quantity in ("mean", "largest", "standard deviation"):
+        row = [value for (item, name), value in expected.items() if item == "fig05" and name.startswith(quantity)]
+        key = {"mean": "sphere_mean_absolute_error", "largest": "sphere_max_error"}.get(quantity, "sphere_error_std")
+        assert row == [paper.headline(key)]
+
+
+def test_unknown_names_list_the_known_ones():
+    with pytest.raises(InputError, match="diao2018_table1"):
+        paper.table("table9")
+    with pytest.raises(InputError, match="coarse, accurate"):
+        paper.hand_eye("fine")
+    with pytest.raises(InputError, match="compound_error"):
+        paper.headline("speed")
+
+
+def test_damaged_expected_values_are_refused(damaged):
+    path = damaged / "expected.csv"
+    text = path.read_text()
+    path.write_text(text.replace(",0.0277,", ",small,", 1))
+    with pytest.raises(FileError, match="'small' is not a number"):
+        paper.expected()
+    lines = text.splitlines()
+    path.write_text("\n".join([*lines, lines[1]]))
+    with pytest.raises(FileError, match="repeats table1 / height at P1"):
+        paper.expected()
+
+
+def test_a_missing_data_folder_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("GRINDVISION_DATA", str(tmp_path / "none"))
+    with pytest.raises(FileError, match="checkout"):
+        paper.expected()
