@@ -1,0 +1,216 @@
+"""Studies: the same rows whatever the order, the worker or the interruption; no case lost, none counted twice."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from grindvision.book.study import case_rng, run_study
+from grindvision.book.study_rows import RowsFile
+from grindvision.errors import DegenerateError, FileError, InputError
+
+CASES = pd.DataFrame({"scale": [0.5, 1.0, 2.0, 4.0, 8.0, 16.0], "label": list("abcdef")})
+
+
+def draw(rng, scale, label):
+    """A case: a scaled random number, or a refusal for label e."""
+    if label == "e":
+        raise DegenerateError("label e is\nnot measured")
+    return {"value": scale * rng.standard_normal(), "count": int(rng.integers(10))}
+
+
+def test_one_row_per_case_with_its_own_stream():
+    rows = run_study(draw, CASES, seed=3, jobs=1)
+    assert list(rows.columns) == ["case", "scale", "label", "value", "count", "error"]
+    assert rows["case"].tolist() == list(range(6))
+    for row in rows[rows["error"] == ""].itertuples():
+        again = draw(case_rng(3, row.case), row.scale, row.label)
+        assert (row.value, row.count) == (again["value"], again["count"])
+    assert len(set(rows["value"].dropna() / rows["scale"][rows["error"] == ""])) == 5
+
+
+def test_rows_do_not_depend_on_order_or_processes():
+    numbered = CASES.assign(case=[10, 20, 30, 40, 50, 60])
+    straight = run_study(draw, numbered, seed=3, jobs=1)
+    shuffled = run_study(draw, numbered.sample(frac=1, random_state=1), seed=3, jobs=2)
+    pd.testing.assert_frame_equal(straight, shuffled)
+    assert not straight["value"].equals(run_study(draw, numbered, seed=4, jobs=1)["value"])
+
+
+def test_a_refused_case_is_a_row_with_its_message():
+    rows = run_study(draw, CASES, seed=3, jobs=1)
+    assert rows.loc[4, "error"] == "DegenerateError: label e is not measured"
+    assert np.isnan(rows.loc[4, "value"])
+    assert (rows["error"].drop(4) == "").all()
+
+
+def test_a_refused_first_case_leaves_room_for_the_results(tmp_path):
+    path = tmp_path / "rows.csv"
+    rows = run_study(draw, CASES.iloc[::-1].iloc[1:], seed=3, results=path, jobs=1)
+    assert rows["error"].iloc[0] and rows["value"].iloc[1:].notna().all()
+    only_failures = run_study(draw, CASES.iloc[[4]], seed=3, jobs=1)
+    assert list(only_failures.columns) == ["case", "scale", "label", "error"]
+
+
+def test_a_bug_in_a_case_stops_the_study_and_names_the_case(tmp_path):
+    def broken(rng, scale, label):
+        return {"value": 1 / (scale - 4.0)}
+
+    with pytest.raises(RuntimeError, match=r"case 3 .*ZeroDivisionError"):
+        run_study(broken, CASES, seed=3, results=tmp_path / "rows.csv", jobs=1)
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 40, 41, 100, 150])
+def test_a_run_cut_at_any_byte_resumes_to_the_same_file(tmp_path, cut):
+    path, calls = tmp_path / "rows.csv", []
+
+    def counted(rng, **parameters):
+        calls.append(parameters["label"])
+        return draw(rng, **parameters)
+
+    whole = run_study(counted, CASES, seed=3, results=path, jobs=1)
+    text = path.read_bytes()
+    path.write_bytes(text[: len(text) - cut])
+    kept = text[: len(text) - cut].count(b"\n") - 1
+    calls.clear()
+    pd.testing.assert_frame_equal(run_study(counted, CASES, seed=3, results=path, jobs=1), whole)
+    assert path.read_bytes() == text
+    assert len(calls) == len(CASES) - kept
+
+
+def test_resuming_runs_only_missing_cases_of_a_longer_table(tmp_path):
+    run_study(draw, CASES.iloc[:3], seed=3, results=tmp_path / "rows.csv", jobs=1)
+    longer = run_study(draw, CASES, seed=3, results=tmp_path / "rows.csv", jobs=1)
+    pd.testing.assert_frame_equal(longer, run_study(draw, CASES, seed=3, jobs=1))
+
+
+def test_results_of_another_study_are_refused(tmp_path):
+    path = tmp_path / "rows.csv"
+    run_study(draw, CASES, seed=3, results=path, jobs=1)
+    with pytest.raises(InputError, match="seed 3, now it is 4"):
+        run_study(draw, CASES, seed=4, results=path, jobs=1)
+    with pytest.raises(InputError, match=r"case 1 was run with scale 1.0, now it is 1.5"):
+        run_study(draw, CASES.replace({"scale": {1.0: 1.5}}), seed=3, results=path, jobs=1)
+    with pytest.raises(InputError, match="holds case 3"):
+        run_study(draw, CASES.iloc[:3], seed=3, results=path, jobs=1)
+    path.write_text(path.read_text().replace(path.read_text().splitlines()[1].split(",")[2], "0" * 12))
+    with pytest.raises(InputError, match="with code 000000000000"):
+        run_study(draw, CASES, seed=3, results=path, jobs=1)
+
+
+def test_a_damaged_file_is_refused_by_line(tmp_path):
+    path = tmp_path / "rows.csv"
+    run_study(draw, CASES, seed=3, results=path, jobs=1)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:2], lines[2][5:], *lines[3:]]))
+    with pytest.raises(FileError, match="line 3 is damaged"):
+        run_study(draw, CASES, seed=3, results=path, jobs=1)
+    path.write_text("".join([*lines, lines[1]]))
+    with pytest.raises(FileError, match="line 8 repeats case 0"):
+        run_study(draw, CASES, seed=3, results=path, jobs=1)
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(FileError, match="not a study's results"):
+        run_study(draw, CASES, seed=3, results=path, jobs=1)
+
+
+def test_two_runs_cannot_write_one_file(tmp_path):
+    with RowsFile(tmp_path / "rows.csv"), pytest.raises(FileError, match="another run is writing"):
+        run_study(draw, CASES, seed=3, results=tmp_path / "rows.csv", jobs=1)
+
+
+def test_bad_tables_are_refused():
+    for cases, message in [
+        (CASES.iloc[:0], "no rows"),
+        (CASES.assign(seed=1), "reserved name 'seed'"),
+        (CASES.assign(case=[1, 2, 2, 3, 4, 5]), "case 2 stands twice"),
+        (CASES.assign(case=0.5), "whole and not negative"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            run_study(draw, cases, seed=3, jobs=1)
+
+
+def test_results_must_be_named_alike():
+    def uneven(rng, scale, label):
+        return {"value": 1.0, f"only_{label}": 1.0}
+
+    with pytest.raises(InputError, match="only_a, only_b"):
+        run_study(uneven, CASES, seed=3, jobs=1)
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a real Dask scheduler on this machine, and the two worker processes it has."""
+    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "5"}
+    dask = [sys.executable, "-m", "dask"]
+    address_file = tmp_path / "scheduler.json"
+    log = open(tmp_path / "dask.log", "w")  # noqa: SIM115
+    options = {"stdout": log, "stderr": log, "env": environment, "cwd": tmp_path}
+    place = ["--host", "127.0.0.1", "--no-dashboard"]
+    address = ["--scheduler-file", str(address_file)]
+    processes = [subprocess.Popen([*dask, "scheduler", "--port", "0", *place, *address], **options)]
+    worker = [*dask, "worker", "--no-nanny", "--nthreads", "1", *place, *address, "--local-directory", str(tmp_path)]
+    processes += [subprocess.Popen(worker, **options) for _ in range(2)]
+    try:
+        from distributed import Client
+
+        with Client(scheduler_file=str(address_file), timeout=20, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=20)
+            found = client.scheduler.address
+        yield found, processes[1:]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+        log.close()
+
+
+def test_a_killed_worker_loses_no_case_and_doubles_none(cluster, tmp_path):
+    scheduler, workers = cluster
+    cases = pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
+    path, finished_at_kill = tmp_path / "rows.csv", []
+
+    def slow(rng, scale, label):
+        time.sleep(0.04)
+        return {"value": scale * rng.standard_normal(), "process": os.getpid()}
+
+    def kill_one_in_the_middle():
+        while not path.exists() or path.read_bytes().count(b"\n") < 20:
+            time.sleep(0.01)
+        workers[0].send_signal(signal.SIGKILL)
+        finished_at_kill.append(path.read_bytes().count(b"\n") - 1)
+
+    killer = threading.Thread(target=kill_one_in_the_middle, daemon=True)
+    killer.start()
+    rows = run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
+    killer.join(timeout=5)
+
+    assert workers[0].wait(timeout=5) == -signal.SIGKILL and workers[1].poll() is None
+    assert rows["case"].tolist() == list(range(60)) and (rows["error"] == "").all()
+    assert len(path.read_text().splitlines()) == 61
+    assert set(rows["process"]) == {workers[0].pid, workers[1].pid} and finished_at_kill[0] < 60
+    here = run_study(draw, cases, seed=3, jobs=1)
+    assert rows["value"].tolist() == here["value"].tolist()
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
+    import dask
+
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "0.3s"}),
+        pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"),
+    ):
+        run_study(draw, CASES, seed=3, scheduler="tcp://127.0.0.1:9")
+
+
+def test_the_book_stays_light_to_import():
+    heavy = "{'dask', 'distributed', 'joblib', 'pandas'}"
+    light = f"import sys; import grindvision.book.study; print({heavy} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", light], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "set()"
