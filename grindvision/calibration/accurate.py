@@ -1,0 +1,281 @@
+"""Accurate calibration: scanner, arm and base from sphere measurements, with what can be known and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from grindvision.arm import MdhArm
+from grindvision.calibration.coarse import coarse_start
+from grindvision.calibration.diagnosis import check_fit, check_measurements, without_copies
+from grindvision.calibration.estimate import (
+    Spreads,
+    deviations,
+    estimate_spreads,
+    gauss_newton,
+    noise_covariances,
+    prior_widths,
+    residuals_of,
+    unit_sizes,
+)
+from grindvision.calibration.identifiability import Identifiability, analyse
+from grindvision.calibration.measurements import Measurements
+from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, moved_cell, table_entries
+from grindvision.calibration.robust import consistent_rows
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import inverse
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to calibrate.
+
+    ``base_fixed``: the tracker already measures in the arm's base frame. ``free``: entries of the MDH table to estimate, by
+    name (``d3_mm``), instead of the usual ones. ``length_prior_mm`` and ``angle_prior_rad``: how far the table may deviate
+    (standard deviation); learnt from the data where left out. ``robust``: drop rows that contradict the others and name
+    them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
+    ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no priors,
+    generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
+    """
+
+    base_fixed: bool = False
+    free: tuple[str, ...] | None = None
+    length_prior_mm: float | None = None
+    angle_prior_rad: float | None = None
+    robust: bool = True
+    worst_std: float = 10.0
+    variant: str = "ours"
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.variant not in ("ours", "paper"):
+            raise InputError(f"variant {self.variant!r}; choose ours or paper")
+        for name in ("length_prior_mm", "angle_prior_rad", "worst_std", "tolerance"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InputError(f"{name} is {value}; it must be above zero")
+
+
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """Lengths of residuals in mm: their mean, root mean square, maximum and standard deviation over ``count`` rows."""
+
+    mean: float
+    rms: float
+    max: float
+    std: float
+    count: int
+
+    def __str__(self) -> str:
+        return (
+            f"mean {self.mean:.3f} mm, rms {self.rms:.3f}, max {self.max:.3f}, std {self.std:.3f} ({self.count} points)"
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated cell and what is known about it.
+
+    ``cell`` after, ``coarse`` before; ``unknowns`` names K numbers, ``values`` (K,) their change from ``coarse`` and
+    ``covariance`` (K, K) that of the result (scanner and base: small motions), in mm and rad. ``identifiability`` holds
+    rank, singular values and null space. ``spreads`` are the noise and the deviations found. ``dropped`` numbers the training
+    rows left out, ``warnings`` says what the user should know.
+    """
+
+    cell: ScannerOnArm
+    coarse: ScannerOnArm
+    unknowns: Unknowns
+    values: Floats
+    covariance: Floats
+    identifiability: Identifiability
+    spreads: Spreads
+    measurements: Measurements
+    dropped: tuple[int, ...]
+    iterations: int
+    converged: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def arm(self) -> MdhArm:
+        """The corrected arm."""
+        return self.cell.arm
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviation (K,) of each unknown, NaN where it stands in a combination that cannot be known."""
+        return np.where(self.identifiability.known, np.sqrt(np.diag(self.covariance)), np.nan)
+
+    def errors(self, train: bool, before: bool = False) -> ErrorStatistics:
+        """Error statistics of the training or the test rows, after calibration or before it (coarse)."""
+        chosen = self.measurements.train == train
+        return error_statistics(self.coarse if before else self.cell, self.measurements.rows(chosen))
+
+    def __str__(self) -> str:
+        state = "" if self.converged else ", not converged"
+        return (
+            f"calibration of {len(self.unknowns)} unknowns, rank {self.identifiability.rank}{state};"
+            f" training error {self.errors(train=True).mean:.3f} mm, before {self.errors(train=True, before=True).mean:.3f} mm"
+        )
+
+
+def calibrate(
+    measurements: Measurements,
+    arm: MdhArm,
+    options: Options | None = None,
+    start: ScannerOnArm | None = None,
+) -> Calibration:
+    """Calibrate scanner, arm and base on the training rows of ``measurements``, from the nominal ``arm``.
+
+    Args:
+        measurements: sphere centres, mm, with joint angles, rad.
+        arm: nominal MDH table whose last joint carries the scanner.
+        options: what to estimate and how.
+        start: the coarse calibration to start from; ``coarse_start`` of the training rows when left out.
+
+    Raises:
+        InputError, UnitError: the measurements do not fit the arm, or look like other units or a shifted pairing.
+        DegenerateError: too few measurements for the unknowns, or all from one pose.
+    """
+    options = options or Options()
+    unknowns = Unknowns(
+        3 if measurements.on_tool else 6, table_entries(arm, options.free), 0 if options.base_fixed else 6
+    )
+    warnings = list(check_measurements(measurements, arm, len(unknowns)))
+    fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
+    training = measurements.rows(fitted)
+    coarse = start or coarse_start(training, arm, options.base_fixed).cell
+    if options.variant == "paper":
+        cell, spreads = _linear_step(coarse, unknowns, training, options.tolerance)
+        kept, iterations, converged = np.ones(len(training), dtype=bool), 1, True
+    else:
+        cell, spreads, kept, iterations, converged = _iterated(coarse, arm, unknowns, training, options)
+    warnings += check_fit(coarse, cell, training, kept, options.base_fixed)
+    if not converged:
+        warnings.append("the iteration did not converge: look at the residuals before you use the result")
+    dropped = tuple(int(row) for row in fitted[~kept])
+    warnings += [f"left out, it contradicts the others: {measurements.label(row)}" for row in dropped]
+    used = training.rows(kept)
+    units = unit_sizes(used, unknowns)
+    whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(cell, used, spreads)))
+    design = design_matrix(cell, used.q_rad, used.scanner_mm, unknowns)
+    rows = (whitening @ design).reshape(-1, len(unknowns))
+    identifiability = analyse(rows, unknowns.names, units, options.worst_std)
+    priors = (
+        np.diag(units / prior_widths(unknowns, spreads)) if options.variant == "ours" else np.zeros((0, len(units)))
+    )
+    information = np.vstack([rows * units, priors])
+    covariance = np.linalg.pinv(information.T @ information, rcond=1e-15, hermitian=True) * np.outer(units, units)
+    return Calibration(
+        cell,
+        coarse,
+        unknowns,
+        _change(coarse, cell, unknowns),
+        covariance,
+        identifiability,
+        spreads,
+        measurements,
+        dropped,
+        iterations,
+        converged,
+        tuple(warnings),
+    )
+
+
+def held_out_errors(
+    measurements: Measurements,
+    arm: MdhArm,
+    options: Options | None = None,
+    folds: int = 5,
+    seed: int = 0,
+) -> tuple[ErrorStatistics, ErrorStatistics, str]:
+    """Cross-validated errors before and after, and how the rows were split: whole spheres, or whole poses, stay out together.
+
+    Raises:
+        DegenerateError: fewer groups than two.
+    """
+    for name, labels in (("sphere", measurements.sphere), ("pose", measurements.pose)):
+        groups = np.unique(labels)
+        if len(groups) >= folds:
+            break
+    folds = min(folds, len(groups))
+    if folds < 2:
+        raise DegenerateError("all rows carry one sphere label and one pose label; label them to hold some out")
+    part = dict(zip(np.random.default_rng(seed).permutation(groups), np.arange(len(groups)) % folds, strict=True))
+    fold = np.array([part[label] for label in labels])
+    before, after = np.empty((len(fold), 3)), np.empty((len(fold), 3))
+    for number in range(folds):
+        out = fold == number
+        fit = calibrate(replace(measurements, train=~out), arm, options)
+        before[out] = residuals_of(fit.coarse, measurements.rows(out))
+        after[out] = residuals_of(fit.cell, measurements.rows(out))
+    return _statistics(before), _statistics(after), f"{folds} folds of whole {name} labels, seed {seed}"
+
+
+def error_statistics(cell: ScannerOnArm, measurements: Measurements) -> ErrorStatistics:
+    """Statistics of the distances between measured and predicted points of all rows."""
+    return _statistics(residuals_of(cell, measurements))
+
+
+def _statistics(residuals: Floats) -> ErrorStatistics:
+    if not len(residuals):
+        return ErrorStatistics(np.nan, np.nan, np.nan, np.nan, 0)
+    lengths = np.linalg.norm(residuals, axis=1)
+    rms = np.sqrt((lengths**2).mean())
+    return ErrorStatistics(*(float(v) for v in (lengths.mean(), rms, lengths.max(), lengths.std())), len(lengths))
+
+
+def _iterated(
+    coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, options: Options
+) -> tuple[ScannerOnArm, Spreads, Flags, int, bool]:
+    spreads = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
+    cell, iterations, _ = gauss_newton(coarse, arm, unknowns, training, spreads, robust=options.robust, iterations=20)
+    kept = np.ones(len(training), dtype=bool)
+    for _ in range(6):
+        if options.robust:
+            now = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, spreads))
+            if _ and (now == kept).all():
+                break
+            kept = now
+        used = training.rows(kept)
+        residuals = residuals_of(cell, used)
+        rest = max(float(np.sqrt((residuals**2).mean())), 1e-9)
+        begin = replace(spreads, rest_mm=rest, joint_rad=rest / 1000)
+        spreads = estimate_spreads(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
+        cell, steps, converged = gauss_newton(cell, arm, unknowns, used, spreads)
+        iterations += steps
+        if not options.robust:
+            break
+    return cell, spreads, kept, iterations, converged
+
+
+def _linear_step(
+    coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float
+) -> tuple[ScannerOnArm, Spreads]:
+    """Eqs 16-18: the generalised inverse of the stacked G_i, applied once to the stacked residuals."""
+    design = design_matrix(coarse, training.q_rad, training.scanner_mm, unknowns).reshape(-1, len(unknowns))
+    cell = moved_cell(
+        coarse, unknowns, np.linalg.pinv(design, rcond=tolerance) @ residuals_of(coarse, training).ravel()
+    )
+    left = residuals_of(cell, training).ravel()
+    freedom = max(len(left) - np.linalg.matrix_rank(design, tol=tolerance * np.linalg.norm(design, 2)), 1)
+    return cell, Spreads(max(float(np.sqrt(left @ left / freedom)), 1e-9), 0.0, np.inf, np.inf)
+
+
+def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:
+    values = deviations(cell, coarse.arm, unknowns)
+    scanner = _twist(cell.T_joint_scanner @ inverse(coarse.T_joint_scanner))
+    base = _twist(inverse(coarse.T_tracker_base) @ cell.T_tracker_base)
+    values[: unknowns.scanner] = scanner[: unknowns.scanner]
+    values[len(values) - unknowns.base :] = base[: unknowns.base]
+    return values
+
+
+def _twist(motion: Floats) -> Floats:
+    return np.concatenate([motion[:3, 3], Rotation.from_matrix(motion[:3, :3]).as_rotvec()])

@@ -1,0 +1,184 @@
+"""Coarse calibration: where the scanner sits on a nominal arm, from three spheres (Eq 8) or from all measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.arm import MdhArm, check_angles, forward
+from grindvision.calibration.estimate import Spreads, gauss_newton, residuals_of
+from grindvision.calibration.measurements import Measurements
+from grindvision.calibration.model import ScannerOnArm, Unknowns
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import (
+    check_points,
+    fit_rigid,
+    inverse,
+    move_points,
+    nearest_rotation,
+    random_rotation,
+    rigid,
+    vector_angle,
+)
+
+Floats = NDArray[np.float64]
+
+#: Three spheres must not stand nearer to a line than this.
+SMALLEST_ANGLE_DEG = 3.0
+
+#: What a nominal arm in the right frame leaves at most; a wrong frame or a wrong start leaves far more.
+PLAUSIBLE_MM = 10.0
+
+
+@dataclass(frozen=True)
+class CoarseCalibration:
+    """The nominal arm with a scanner's and a tracker's place, and the ``rms_mm`` it leaves on the data it came from."""
+
+    cell: ScannerOnArm
+    rms_mm: float
+
+    def __str__(self) -> str:
+        return f"coarse calibration, rms {self.rms_mm:.3f} mm"
+
+
+def three_point(arm: MdhArm, q_rad: ArrayLike, scanner_mm: ArrayLike, base_mm: ArrayLike) -> CoarseCalibration:
+    """Three-point method, Eqs 7-8: one arm pose (n,), three spheres o, a, b (3, 3) in the scanner's and the base frame.
+
+    Raises:
+        InputError: not three spheres. DegenerateError: the spheres lie on one line; the message carries the angle.
+    """
+    q = check_angles(arm, q_rad)
+    frames = []
+    for name, points in (("scanner", scanner_mm), ("base", base_mm)):
+        points = check_points(points, f"spheres in the {name} frame")
+        if len(points) != 3 or q.ndim != 1:
+            raise InputError(f"the three-point method takes one pose and three spheres, got {len(points)} spheres")
+        frames.append(_workpiece_frame(points, name))
+    P_scanner, P_base = frames
+    T_joint_scanner = inverse(forward(arm, q)) @ P_base @ inverse(P_scanner)
+    cell = ScannerOnArm(arm, T_joint_scanner, np.eye(4))
+    error = np.asarray(base_mm, dtype=float) - cell.points_base(np.broadcast_to(q, (3, arm.n)), scanner_mm)
+    return CoarseCalibration(cell, _rms(error))
+
+
+def best_fit(
+    measurements: Measurements, arm: MdhArm, base_fixed: bool = False, robust: bool = True
+) -> CoarseCalibration:
+    """Scanner's place (and, unless ``base_fixed``, the tracker's) that fits all measurements best with the arm as it is.
+
+    A linear least squares start, then Gauss-Newton; ``robust`` keeps a few wrong rows from mattering.
+
+    Raises:
+        DegenerateError: too few measurements, or spheres on one line (with the angle).
+    """
+    least = 3 if base_fixed else 4
+    if len(measurements) < least:
+        raise DegenerateError(f"{len(measurements)} measurements; a coarse calibration needs at least {least}")
+    scanner = 3 if measurements.on_tool else 6
+    if scanner == 6:
+        _refuse_line(measurements.scanner_mm, "scanner")
+    unknowns = Unknowns(scanner, (), 0 if base_fixed else 6)
+    spreads = Spreads(1.0, 0.0, 1.0, 1.0)
+    starts = _fixed_base_start(measurements, arm) if base_fixed else _free_base_starts(measurements, arm)
+    best, smallest = None, np.inf
+    for start in starts:
+        cell, *_ = gauss_newton(start, arm, unknowns, measurements, spreads, robust=robust, iterations=30)
+        left = median_error(cell, measurements)
+        if left < smallest:
+            best, smallest = cell, left
+        if smallest < PLAUSIBLE_MM:
+            break
+    assert best is not None
+    return CoarseCalibration(best, _rms(residuals_of(best, measurements)))
+
+
+def coarse_start(measurements: Measurements, arm: MdhArm, base_fixed: bool = False) -> CoarseCalibration:
+    """Coarse calibration to start from: the tracker's frame taken as the base where that is plausible, else both free.
+
+    Plausible means that the nominal arm then leaves at most ``PLAUSIBLE_MM`` in the median.
+    """
+    taken = best_fit(measurements, arm, base_fixed=True)
+    if base_fixed or median_error(taken.cell, measurements) <= PLAUSIBLE_MM:
+        return taken
+    return best_fit(measurements, arm)
+
+
+def median_error(cell: ScannerOnArm, measurements: Measurements) -> float:
+    """Median distance in mm between measured and predicted points."""
+    return float(np.median(np.linalg.norm(residuals_of(cell, measurements), axis=1)))
+
+
+def _fixed_base_start(measurements: Measurements, arm: MdhArm) -> list[ScannerOnArm]:
+    points_joint = _in_joint(measurements.tracker_mm, forward(arm, measurements.q_rad))
+    if measurements.on_tool:
+        place = rigid(translation_mm=np.median(points_joint, axis=0) - measurements.scanner_mm[0])
+    else:
+        place = fit_rigid(measurements.scanner_mm, points_joint).T_target_source
+    return [ScannerOnArm(arm, place, np.eye(4))]
+
+
+def _free_base_starts(measurements: Measurements, arm: MdhArm) -> list[ScannerOnArm]:
+    """Linear solution of R_bt p_t + t_bt - R_i (R_js s + t_js) = t_i, rotations free, and a few blind starts."""
+    T_base_joint = forward(arm, measurements.q_rad)
+    size = max(float(np.abs(measurements.tracker_mm).max()), 1.0)
+    rows = len(measurements)
+    columns = np.zeros((rows, 3, 24))
+    for axis in range(3):
+        columns[:, axis, 3 * axis : 3 * axis + 3] = measurements.tracker_mm / size
+        columns[:, axis, 9 + axis] = 1.0
+        columns[:, :, 12 + 3 * axis : 15 + 3 * axis] = (
+            -T_base_joint[:, :3, axis, None] * measurements.scanner_mm[:, None, :] / size
+        )
+    columns[:, :, 21:] = -T_base_joint[:, :3, :3]
+    solution = np.linalg.lstsq(columns.reshape(-1, 24), T_base_joint[:, :3, 3].ravel(), rcond=1e-9)[0]
+    rng = np.random.default_rng(0)
+    turns = [nearest_rotation(solution[:9].reshape(3, 3))] + [random_rotation(rng) for _ in range(3)]
+    starts = []
+    for number, R_base_tracker in enumerate(turns):
+        R_joint_scanner = np.eye(3)
+        if not measurements.on_tool:
+            R_joint_scanner = nearest_rotation(solution[12:21].reshape(3, 3)) if number == 0 else random_rotation(rng)
+        moved = measurements.tracker_mm @ R_base_tracker.T
+        turned = np.einsum("mij,mj->mi", T_base_joint[:, :3, :3], measurements.scanner_mm @ R_joint_scanner.T)
+        shifts = np.concatenate([np.broadcast_to(np.eye(3), (rows, 3, 3)), -T_base_joint[:, :3, :3]], axis=2)
+        goal = T_base_joint[:, :3, 3] + turned - moved
+        places = np.linalg.lstsq(shifts.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
+        T_tracker_base = inverse(rigid(R_base_tracker, places[:3]))
+        starts.append(ScannerOnArm(arm, rigid(R_joint_scanner, places[3:]), T_tracker_base))
+    return starts
+
+
+def _in_joint(points_base: Floats, T_base_joint: Floats) -> Floats:
+    return np.einsum("mji,mj->mi", T_base_joint[:, :3, :3], points_base - T_base_joint[:, :3, 3])
+
+
+def _workpiece_frame(points: Floats, name: str) -> Floats:
+    """Frame with origin o, x towards a, z normal to the triangle o, a, b."""
+    o, a, b = points
+    corners = [(a - o, b - o), (o - a, b - a), (o - b, a - b)]
+    angle = np.degrees(min(np.nan_to_num(vector_angle(*edges)) for edges in corners))
+    if angle < SMALLEST_ANGLE_DEG:
+        raise DegenerateError(
+            f"the three spheres in the {name} frame lie almost on one line: the triangle's smallest angle is"
+            f" {angle:.2g} deg, at least {SMALLEST_ANGLE_DEG:g} deg needed; move one sphere aside"
+        )
+    x = (a - o) / np.linalg.norm(a - o)
+    z = np.cross(x, b - o)
+    z /= np.linalg.norm(z)
+    return rigid(np.column_stack([x, np.cross(z, x), z]), o)
+
+
+def _refuse_line(points: Floats, name: str) -> None:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    angle = np.degrees(np.arctan2(spread[1], spread[0]))
+    if angle < SMALLEST_ANGLE_DEG / 3:
+        raise DegenerateError(
+            f"the spheres in the {name} frame lie on one line within {angle:.2g} deg; the turn about it is free:"
+            " let the sphere appear all over the scanner's field"
+        )
+
+
+def _rms(vectors: Floats) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))

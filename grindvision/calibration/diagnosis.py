@@ -1,0 +1,167 @@
+"""Bad measurements, found before and after the fit: wrong units, copies, one pose only, a shifted pairing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.arm import MdhArm
+from grindvision.calibration.coarse import coarse_start, median_error
+from grindvision.calibration.measurements import Measurements
+from grindvision.calibration.model import ScannerOnArm
+from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
+
+Flags = NDArray[np.bool_]
+
+#: A fit that leaves more than this is looked at twice; real arms and sphere scans leave a tenth of it.
+SUSPICIOUS_MM = 1.5
+
+
+def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -> tuple[str, ...]:
+    """Refuse what cannot be calibrated with, and return warnings in words about what can but should be known.
+
+    Raises:
+        InputError: joints do not fit the arm. UnitError: degrees or metres. DegenerateError: too few rows, one pose only.
+    """
+    if measurements.q_rad.shape[1] != arm.n:
+        raise InputError(f"measurements of {measurements.q_rad.shape[1]} joints for an arm of {arm.n}")
+    _check_units(measurements, arm)
+    good = measurements.rows(without_copies(measurements) & measurements.train)
+    if 3 * len(good) <= unknowns:
+        raise DegenerateError(
+            f"{len(good)} different training measurements give {3 * len(good)} equations for {unknowns} unknowns;"
+            f" measure at least {unknowns // 3 + 1}, better {unknowns}, or hold some parameters"
+        )
+    moved = np.ptp(good.q_rad, axis=0)
+    if moved.max() < 1e-3:
+        raise DegenerateError(
+            f"all {len(good)} training measurements have the same joint angles (within {np.degrees(moved.max()):.2g} deg);"
+            " nothing about the arm can be learnt from one pose: measure in many"
+        )
+    warnings = []
+    copies = len(measurements) - int(without_copies(measurements).sum())
+    if copies:
+        row = int(np.argmin(without_copies(measurements)))
+        warnings.append(
+            f"{copies} rows are copies of earlier ones and were not counted twice, first {measurements.label(row)}"
+        )
+    still = [f"q{i + 1}" for i in np.flatnonzero(moved < 1e-3)]
+    if still:
+        warnings.append(
+            f"joint {', '.join(still)} never moves in the training rows: its parameters cannot be told apart"
+        )
+    if 3 * len(good) < 2 * unknowns:
+        warnings.append(f"only {3 * len(good)} equations for {unknowns} unknowns: the errors on training rows flatter")
+    return tuple(warnings)
+
+
+def without_copies(measurements: Measurements) -> Flags:
+    """Flags (M,) of the rows that are no exact copy of an earlier row."""
+    rows = np.hstack([measurements.q_rad, measurements.scanner_mm, measurements.tracker_mm])
+    flags = np.zeros(len(rows), dtype=bool)
+    flags[np.unique(rows, axis=0, return_index=True)[1]] = True
+    return flags
+
+
+def check_fit(
+    coarse: ScannerOnArm, cell: ScannerOnArm, training: Measurements, kept: Flags, base_fixed: bool
+) -> list[str]:
+    """Look at a fit that leaves too much, find the reason, and return what stays unexplained as a warning.
+
+    Raises:
+        UnitError, InputError: degrees, metres, a joint that counts the other way, or a shifted pairing explains the data far better.
+        DegenerateError: half of the rows or more contradict the rest.
+    """
+    typical = median_error(cell, training)
+    if typical <= SUSPICIOUS_MM and kept.mean() > 0.7:
+        return []
+    as_given = median_error(coarse, training)
+    for reason, kind, changed in _explanations(training):
+        try:
+            fit = coarse_start(changed(training), coarse.arm, base_fixed)
+        except GrindvisionError:
+            continue
+        left = median_error(fit.cell, changed(training))
+        if left < 0.2 * as_given:
+            raise kind(
+                f"{reason}: then the nominal arm leaves {left:.2f} mm instead of {as_given:.1f} mm; mend the columns"
+            )
+    if kept.mean() <= 0.7:
+        raise DegenerateError(
+            f"{int((~kept).sum())} of {len(kept)} training rows contradict the rest; check the pairing of scans and spheres"
+        )
+    reach = np.hypot(coarse.arm.table[:, 1], coarse.arm.table[:, 2]).sum()
+    if typical > max(10.0, 0.01 * reach):
+        raise InputError(
+            f"no arm of this structure fits: {typical:.1f} mm are left in the median; check the robot table"
+            " (modified, not standard DH), the joints' directions and zeros, and which joint carries the scanner"
+        )
+    return [f"the fit leaves {typical:.2f} mm in the median, much for a sphere scan: check table, units and pairing"]
+
+
+def _check_units(measurements: Measurements, arm: MdhArm) -> None:
+    largest = np.abs(measurements.q_rad).max(axis=0)
+    joint = int(np.argmax(largest))
+    if largest[joint] > 2 * np.pi + 0.01:
+        raise UnitError(f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: these look like degrees; give radians")
+    reach = np.hypot(arm.table[:, 1], arm.table[:, 2]).sum()
+    if 0 < reach < 10:
+        raise UnitError(
+            f"the arm's links add up to {reach:.4g} mm: the robot table looks like metres; give millimetres"
+        )
+    for name, points in (("s", measurements.scanner_mm), ("b", measurements.tracker_mm)):
+        if name == "s" and measurements.on_tool:
+            continue
+        size = np.abs(points).max(axis=0)
+        if size.max() < 20:
+            raise UnitError(f"columns {name}x_mm to {name}z_mm reach only {size.max():.4g}: metres? give millimetres")
+
+
+def _explanations(
+    measurements: Measurements,
+) -> list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]]:
+    found: list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]] = []
+    for shift in (1, -1):
+        found.append(
+            (
+                f"the tracker's rows are shifted by {'one' if shift == 1 else 'minus one'} against scans and joint angles",
+                InputError,
+                lambda m, shift=shift: replace(m, tracker_mm=np.roll(m.tracker_mm, -shift, axis=0)),
+            )
+        )
+        found.append(
+            (
+                f"the joint angles are shifted by {'one' if shift == 1 else 'minus one'} row against the spheres",
+                InputError,
+                lambda m, shift=shift: replace(m, q_rad=np.roll(m.q_rad, -shift, axis=0)),
+            )
+        )
+    for joint in range(measurements.q_rad.shape[1]):
+        for factor, reason, kind in (
+            (np.pi / 180, "looks like degrees", UnitError),
+            (-1.0, "counts the other way round than the robot table", InputError),
+        ):
+            found.append(
+                (
+                    f"column q{joint + 1}_rad {reason}",
+                    kind,
+                    lambda m, joint=joint, factor=factor: replace(
+                        m, q_rad=m.q_rad * np.where(np.arange(m.q_rad.shape[1]) == joint, factor, 1.0)
+                    ),
+                )
+            )
+    for column, name in (("scanner_mm", "s"), ("tracker_mm", "b")):
+        for axes in ([0], [1], [2], [0, 1, 2]):
+            found.append(
+                (
+                    f"{', '.join(name + 'xyz'[axis] + '_mm' for axis in axes)} in metres, by the look of it",
+                    UnitError,
+                    lambda m, column=column, axes=axes: replace(
+                        m, **{column: getattr(m, column) * np.where(np.isin(np.arange(3), axes), 1000.0, 1.0)}
+                    ),
+                )
+            )
+    return found

@@ -1,0 +1,195 @@
+"""Weighted, regularised Gauss-Newton on the error model, and how large noise and parameter deviations really are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.arm import MdhArm
+from grindvision.calibration.measurements import Measurements
+from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, joint_slopes, moved_cell
+
+Floats = NDArray[np.float64]
+
+#: Below these the spreads count as zero: far under any instrument, far above rounding.
+SMALLEST_MM, SMALLEST_RAD = 1e-9, 1e-12
+_LEAST_DEVIATION = np.array([0.01, 2e-5])
+_MOST_DEVIATION = np.array([100.0, 0.2])
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """Standard deviations that decide the weights: of what is measured, and of what the MDH table may deviate by.
+
+    ``rest_mm``: isotropic noise per axis on top of the covariances that the measurements bring; ``joint_rad``: repeatability
+    of each joint; ``length_mm`` and ``angle_rad``: deviations of the table's lengths and angles from the nominal ones.
+    """
+
+    rest_mm: float
+    joint_rad: float
+    length_mm: float
+    angle_rad: float
+
+    def __str__(self) -> str:
+        return (
+            f"noise {self.rest_mm:.4f} mm per axis, joints {np.degrees(self.joint_rad):.4f} deg;"
+            f" arm deviates {self.length_mm:.3f} mm and {np.degrees(self.angle_rad):.4f} deg"
+        )
+
+
+def unit_sizes(measurements: Measurements, unknowns: Unknowns) -> Floats:
+    """What counts as one unit of each unknown (K,): 1 mm, and the angle that moves a far point by 1 mm.
+
+    Columns in mm and columns in rad can only be compared after this explicit scaling; the far distance is the rms spread of
+    the measured points plus the rms distance of the spheres from the scanner.
+    """
+    spread = measurements.tracker_mm - measurements.tracker_mm.mean(axis=0)
+    far = np.sqrt((spread**2).sum(axis=1).mean()) + np.sqrt((measurements.scanner_mm**2).sum(axis=1).mean())
+    return np.where(unknowns.is_angle, 1 / max(far, 1.0), 1.0)
+
+
+def noise_covariances(cell: ScannerOnArm, measurements: Measurements, spreads: Spreads) -> Floats:
+    """Covariance (M, 3, 3) of each residual in the tracker's frame: sphere fit, tracker, joints and the rest."""
+    slopes = joint_slopes(cell, measurements.q_rad, measurements.scanner_mm)
+    return _known_covariances(cell, measurements) + _noise(slopes, spreads)
+
+
+def residuals_of(cell: ScannerOnArm, measurements: Measurements) -> Floats:
+    """Measured minus predicted points (M, 3) in the tracker's frame, X_B^R - X_B of Eq 16."""
+    return measurements.tracker_mm - cell.points_tracker(measurements.q_rad, measurements.scanner_mm)
+
+
+def prior_widths(unknowns: Unknowns, spreads: Spreads) -> Floats:
+    """Prior standard deviation (K,) of each unknown: the spreads for table entries, infinite for scanner and base."""
+    widths = np.where(unknowns.is_angle, spreads.angle_rad, spreads.length_mm)
+    return np.where(unknowns.in_table, widths, np.inf)
+
+
+def deviations(cell: ScannerOnArm, nominal: MdhArm, unknowns: Unknowns) -> Floats:
+    """Deviation (K,) of the cell's table from the nominal one; zero for scanner and base, which have no nominal place."""
+    values = np.zeros(len(unknowns))
+    values[unknowns.in_table] = (cell.arm.table - nominal.table).ravel()[list(unknowns.table)]
+    return values
+
+
+def gauss_newton(
+    cell: ScannerOnArm,
+    nominal: MdhArm,
+    unknowns: Unknowns,
+    measurements: Measurements,
+    spreads: Spreads,
+    robust: bool = False,
+    iterations: int = 50,
+) -> tuple[ScannerOnArm, int, bool]:
+    """Move the cell to the least weighted squares of residuals and deviations; the cell, steps taken, converged or not.
+
+    Directions that neither data nor priors hold are left where they are (smallest step). ``robust`` weights each row down by
+    Cauchy's function of its residual, so that some wildly wrong rows do not matter.
+    """
+    units, widths = unit_sizes(measurements, unknowns), prior_widths(unknowns, spreads)
+
+    def weighted(at: ScannerOnArm) -> tuple[Floats, Floats, float]:
+        whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(at, measurements, spreads)))
+        whitened = np.einsum("mij,mj->mi", whitening, residuals_of(at, measurements))
+        if robust:
+            length = np.linalg.norm(whitened, axis=1)
+            ratio = length / (2.4 * max(np.median(length) / 1.54, 1e-300))
+            weight, cost = 1 / np.sqrt(1 + ratio**2), np.log1p(ratio**2).sum()
+        else:
+            weight, cost = np.ones(len(whitened)), (whitened**2).sum()
+        pull = deviations(at, nominal, unknowns) / widths
+        return whitening * weight[:, None, None], pull, float(cost + (0 if robust else pull @ pull))
+
+    whitening, pull, cost = weighted(cell)
+    for step_number in range(1, iterations + 1):
+        design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns)
+        rows = np.vstack([(whitening @ design).reshape(-1, len(unknowns)), np.diag(1 / widths)]) * units
+        goal = np.concatenate([np.einsum("mij,mj->mi", whitening, residuals_of(cell, measurements)).ravel(), -pull])
+        step = np.linalg.lstsq(rows, goal, rcond=1e-12)[0]
+        for _ in range(12):
+            trial = moved_cell(cell, unknowns, step * units)
+            whitening, pull, trial_cost = weighted(trial)
+            if robust or trial_cost <= cost * (1 + 1e-9) or np.abs(step).max() < 1e-7:
+                break
+            step = step / 2
+        cell, cost = trial, trial_cost
+        if np.abs(step).max() < 1e-10:
+            return cell, step_number, True
+    return cell, iterations, bool(np.abs(step).max() < 1e-6)
+
+
+def estimate_spreads(
+    cell: ScannerOnArm,
+    nominal: MdhArm,
+    unknowns: Unknowns,
+    measurements: Measurements,
+    start: Spreads,
+    fixed_length_mm: float | None = None,
+    fixed_angle_rad: float | None = None,
+    iterations: int = 60,
+) -> Spreads:
+    """Spreads under which the residuals are most likely, scanner and base integrated out (restricted likelihood).
+
+    The error model is linear here, so four variances are found by minorise-maximise steps: each is multiplied by the square
+    root of the ratio of the squares it explains to the squares it expects. No step can lower the likelihood.
+    """
+    units = unit_sizes(measurements, unknowns)
+    design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns) * units
+    slopes = joint_slopes(cell, measurements.q_rad, measurements.scanner_mm)
+    observed = residuals_of(cell, measurements) + design @ (deviations(cell, nominal, unknowns) / units)
+    known = _known_covariances(cell, measurements)
+    groups = [unknowns.in_table & ~unknowns.is_angle, unknowns.in_table & unknowns.is_angle]
+    fixed = [fixed_length_mm, fixed_angle_rad]
+    spreads = start
+    for _ in range(iterations):
+        weights = np.linalg.inv(known + _noise(slopes, spreads))
+        weighted_design = weights @ design
+        flat = design.reshape(-1, len(unknowns))
+        normal = flat.T @ weighted_design.reshape(flat.shape)
+        inverse_width = units / prior_widths(unknowns, spreads)
+        covariance = np.linalg.pinv(normal + np.diag(inverse_width**2), rcond=1e-14, hermitian=True)
+        solution = covariance @ np.einsum("mik,mi->k", weighted_design, observed)
+        forces = np.einsum("mij,mj->mi", weights, observed - design @ solution)
+        turned = (np.swapaxes(slopes, 1, 2) @ weighted_design).reshape(-1, len(unknowns))
+        explained = [(forces**2).sum(), (np.einsum("min,mi->mn", slopes, forces) ** 2).sum()]
+        expected = [
+            np.trace(weights, axis1=1, axis2=2).sum() - _overlap(covariance, weighted_design.reshape(flat.shape)),
+            np.einsum("min,mij,mjn->", slopes, weights, slopes) - _overlap(covariance, turned),
+        ]
+        pulls = np.einsum("mik,mi->k", design, forces) / units
+        for group in groups:
+            block = normal[:, group] / units[group]
+            explained.append((pulls[group] ** 2).sum())
+            expected.append((np.diag(normal)[group] / units[group] ** 2).sum() - np.sum(block * (covariance @ block)))
+        factors = np.sqrt(np.sqrt(np.maximum(explained, 1e-300) / np.maximum(expected, 1e-300)))
+        old = np.array([spreads.rest_mm, spreads.joint_rad, spreads.length_mm, spreads.angle_rad])
+        new = old * np.clip(factors, 1e-3, 1e3)
+        new[:2] = np.maximum(new[:2], [SMALLEST_MM, SMALLEST_RAD])
+        new[2:] = [
+            np.clip(value, low, high) if given is None else given
+            for value, given, low, high in zip(new[2:], fixed, _LEAST_DEVIATION, _MOST_DEVIATION, strict=True)
+        ]
+        spreads = Spreads(*(float(value) for value in new))
+        if np.abs(np.log(new / old)).max() < 3e-3:
+            break
+    return spreads
+
+
+def _overlap(covariance: Floats, columns: Floats) -> float:
+    return float(np.sum((columns @ covariance) * columns))
+
+
+def _noise(slopes: Floats, spreads: Spreads) -> Floats:
+    return spreads.joint_rad**2 * slopes @ np.swapaxes(slopes, -1, -2) + spreads.rest_mm**2 * np.eye(3)
+
+
+def _known_covariances(cell: ScannerOnArm, measurements: Measurements) -> Floats:
+    known = np.broadcast_to(measurements.tracker_std_mm**2 * np.eye(3), (len(measurements), 3, 3))
+    if measurements.scanner_covariance_mm2 is None:
+        return known
+    from grindvision.arm import forward
+
+    turn = (cell.T_tracker_base @ forward(cell.arm, measurements.q_rad) @ cell.T_joint_scanner)[:, :3, :3]
+    return known + turn @ measurements.scanner_covariance_mm2 @ np.swapaxes(turn, 1, 2)

@@ -1,0 +1,23 @@
+"""Rows that contradict the others: a slipped reflector, a sphere paired with the wrong scan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+#: Chance that a good row is dropped, per row.
+FALSE_ALARM = 1e-5
+
+
+def consistent_rows(residuals_mm: ArrayLike, covariances_mm2: ArrayLike) -> NDArray[np.bool_]:
+    """Flags (M,) of the rows whose residuals (M, 3) fit their covariances (M, 3, 3), whose common scale is found robustly.
+
+    The scale comes from the median squared Mahalanobis distance, so up to half of the rows may be wrong.
+    """
+    residuals = np.asarray(residuals_mm, dtype=float)
+    whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(covariances_mm2, dtype=float)))
+    squared = (np.einsum("mij,mj->mi", whitening, residuals) ** 2).sum(axis=1)
+    scale = max(float(np.median(squared)) / chi2.median(3), 1e-300)
+    size = np.linalg.norm(residuals, axis=1)
+    return (squared <= scale * chi2.isf(FALSE_ALARM, 3)) | (size < 1e-6)
