@@ -23,12 +23,12 @@ WAVES = 24
 class ScannerErrors:
     """The error budget of a scanner; every source is off at its default.
 
-    Random, new in every scan: ``white_mm`` along the ray; ``triangulation_px`` white and ``correlated_px`` correlated noise
-    of the disparity (depth error times z^2 / (f b)), the latter smoothed over ``correlation_length_px``; ``mixed_pixels``
-    is the share of pixels at depth steps above ``edge_mm`` that fall between front and back.
-    Systematic, the same in every scan of one instrument: ``distortion_mm`` rms depth error at the reference distance of a
-    smooth field with correlation length ``distortion_length_mm``, growing with z^2; ``scale`` standard deviation over
-    instruments of the relative scale error.
+    Random, new in every scan: ``white_mm`` along the ray; ``triangulation_px`` white and ``correlated_px`` correlated
+    noise of the disparity (depth error times z^2 / (f b)), the latter smoothed over ``correlation_length_px``;
+    ``mixed_pixels`` is the share of pixels at depth steps above ``edge_mm`` that fall between front and back.
+    Systematic, the same in every scan of one instrument: ``distortion_mm`` rms depth error at the reference distance
+    of a smooth field with correlation length ``distortion_length_mm``, growing with z^2; ``scale`` standard deviation
+    over instruments of the relative scale error.
     Lost points: steeper than ``grazing_deg`` to camera or projector; in the projector's ``shadow``.
     ``disparity_step_px`` is the step in which disparity is read out.
     """

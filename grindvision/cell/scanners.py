@@ -29,8 +29,8 @@ NO_SURFACE = -1
 class Sighting:
     """What an instrument without errors would see: the rays that hit something in range, before any noise.
 
-    ``pixels`` (N, 2) column and row within ``grid_shape`` (rows, columns); ``points`` (N, 3) mm and ``normals`` (N, 3) in
-    the scanner frame; ``surface_id`` (N,) into ``surfaces``; ``in_light`` (N,) the projector sees the point too;
+    ``pixels`` (N, 2) column and row within ``grid_shape`` (rows, columns); ``points`` (N, 3) mm and ``normals`` (N,
+    3) in the scanner frame; ``surface_id`` (N,) into ``surfaces``; ``in_light`` (N,) the projector sees the point too;
     ``incidence_rad`` (N,) the larger angle of both rays against the normal. ``every`` is the pixel step.
     """
 
@@ -79,7 +79,7 @@ class Scan:
         return self.surface_id == self.surfaces.index(surface)
 
     def image(self, values: ArrayLike) -> Floats:
-        """Lay values (N, ...) of the points out on the pixel grid (rows, columns, ...); NaN where nothing was measured."""
+        """Lay values (N, ...) of the points out on the pixel grid (rows, columns, ...); NaN where there is no point."""
         values = np.asarray(values, dtype=float)
         grid = np.full((*self.grid_shape, *values.shape[1:]), np.nan)
         grid[self.pixels[:, 1], self.pixels[:, 0]] = values
@@ -91,7 +91,8 @@ class Scan:
     def __str__(self) -> str:
         rows, columns = self.grid_shape
         off = np.einsum("ij,ij->i", self.points - self.true_points, self.true_normals)
-        return f"scan of {len(self):,} points on {columns} x {rows} pixels, rms {np.sqrt(np.mean(off**2)):.3g} mm off the surface"
+        rms = np.sqrt(np.mean(off**2))
+        return f"scan of {len(self):,} points on {columns} x {rows} pixels, rms {rms:.3g} mm off the surface"
 
 
 @dataclass(frozen=True)
@@ -326,6 +327,6 @@ def _cosine(vectors: Floats, unit: Floats) -> Floats:
 
 
 def _correlated(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Floats:
-    """Unit-variance noise (rows, columns), white noise smoothed by a Gaussian of standard deviation ``length`` pixels."""
+    """Unit-variance noise (rows, columns): white noise smoothed by a Gaussian of sigma ``length`` pixels."""
     noise = gaussian_filter(rng.standard_normal(shape), length, mode="wrap", truncate=3.0)
     return noise * np.sqrt(max(4 * np.pi * length**2, 1.0))

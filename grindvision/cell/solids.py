@@ -59,7 +59,8 @@ class Solid:
         return self.surfaces.index(name)
 
     def __str__(self) -> str:
-        return f"solid of {len(self.triangles):,} triangles, {self.volume_mm3:.0f} mm3, surfaces {', '.join(self.surfaces)}"
+        size = f"{len(self.triangles):,} triangles, {self.volume_mm3:.0f} mm3"
+        return f"solid of {size}, surfaces {', '.join(self.surfaces)}"
 
 
 def assembled(solids: Sequence[Solid]) -> Solid:
@@ -134,7 +135,7 @@ def height_field(
 
 
 def lofted(name: str, upper: Floats, lower: Floats) -> Shape:
-    """Block between two grids (R, C, 3) of the same shape, closed by their four walls; ``upper`` faces +(row x column)."""
+    """Block between two grids (R, C, 3) of the same shape, closed by four walls; ``upper`` faces +(row x column)."""
     rows, columns = upper.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     under = index + rows * columns
