@@ -1,0 +1,299 @@
+"""Neighbours in point clouds through a hashed grid of cubic cells: nearest point, and all points within a radius.
+
+The kernels release the interpreter lock and start no threads; two clouds can be searched at once from two threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import InputError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+AXIS_CELLS = 1 << 20
+"""Most cells along one axis; three axes share one 63-bit key."""
+
+_EMPTY = np.int64(-1)
+_MIX = np.int64(-7046029254386353131)
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """Points (N, 3) sorted into cubic cells of ``size_mm``; the cells are found through a hash table.
+
+    ``order`` (N,) lists the points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``. ``table_keys`` and
+    ``table_cells`` are the open-addressed table from packed cell coordinates to c.
+    """
+
+    points: Floats
+    size_mm: float
+    origin_mm: Floats
+    order: Integers
+    starts: Integers
+    table_keys: Integers
+    table_cells: Integers
+
+    def __str__(self) -> str:
+        return f"{len(self.points):,} points in {len(self.starts) - 1:,} cells of {self.size_mm:.3g} mm"
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """Neighbours of M queries: those of query i are ``indices[starts[i]:starts[i + 1]]``, nearest first.
+
+    ``squared_mm2`` holds their squared distances.
+    """
+
+    starts: Integers
+    indices: Integers
+    squared_mm2: Floats
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+
+def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
+    """Sort points (N, 3) into cubic cells of edge ``size_mm``.
+
+    Raises:
+        InputError: the size is not above zero, or so small that an axis has more than ``AXIS_CELLS`` cells.
+    """
+    points = np.ascontiguousarray(points, dtype=float)
+    origin = cell_origin(points, size_mm)
+    cell_of_point, keys, table_keys, table_cells = _assign(points, origin, 1.0 / size_mm)
+    order, starts = _sorted_by_cell(cell_of_point, len(keys))
+    return CellGrid(points, float(size_mm), origin, order, starts, table_keys, table_cells)
+
+
+def cell_origin(points: Floats, size_mm: float) -> Floats:
+    """Corner (3,) from which cells are counted, one cell below the points, after checking that the cells can be keyed."""
+    if not size_mm > 0:
+        raise InputError(f"the cell size is {size_mm} mm; it must be above zero")
+    if len(points) == 0:
+        return np.zeros(3)
+    low, high = bounds(points)
+    cells = float((high - low).max()) / size_mm
+    if not cells < AXIS_CELLS - 4:
+        raise InputError(
+            f"the points span {float((high - low).max()):.3g} mm, {cells:.3g} cells of {size_mm:.3g} mm; drop far outliers or take larger cells"
+        )
+    return low - size_mm
+
+
+@njit(cache=True, nogil=True)
+def bounds(points):
+    """Lowest and highest coordinates (3,), (3,) of points (N, 3)."""
+    low = points[0].copy()
+    high = points[0].copy()
+    for i in range(len(points)):
+        for k in range(3):
+            low[k] = min(low[k], points[i, k])
+            high[k] = max(high[k], points[i, k])
+    return low, high
+
+
+def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integers, Floats]:
+    """Nearest grid point of each query (M, 3) no farther than ``most_mm``: index (M,), -1 where none, and distance (M,).
+
+    Exact. Fast while ``most_mm`` is a few cells; the distance is infinite where none was found.
+    """
+    queries = np.ascontiguousarray(queries, dtype=float)
+    indices = np.empty(len(queries), dtype=np.int64)
+    distances = np.empty(len(queries))
+    _nearest_all(
+        queries, float(most_mm), grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
+        grid.origin_mm, 1.0 / grid.size_mm, indices, distances,
+    )  # fmt: skip
+    return indices, distances
+
+
+def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: int | None = None) -> Neighbourhoods:
+    """All grid points within ``radius_mm`` of each query (M, 3), nearest first; the nearest ``most`` where given.
+
+    The radius may not exceed the grid's cell size. A query that is itself a grid point is its own first neighbour.
+    """
+    if radius_mm > grid.size_mm * (1 + 1e-12):
+        raise InputError(f"radius {radius_mm} mm exceeds the cell size {grid.size_mm} mm; build the cells as large as it")
+    queries = np.ascontiguousarray(queries, dtype=float)
+    starts, indices, squared = _within_all(
+        queries, float(radius_mm), -1 if most is None else int(most), grid.points, grid.order, grid.starts,
+        grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
+    )  # fmt: skip
+    return Neighbourhoods(starts, indices, squared)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def cell_key(i, j, k):
+    """Pack three non-negative cell coordinates into one key."""
+    return (np.int64(i) << 42) | (np.int64(j) << 21) | np.int64(k)
+
+
+@njit(cache=True, nogil=True)
+def find_slot(table_keys, key):
+    """Slot of ``key`` in the open-addressed table, or the free slot where it belongs."""
+    mask = table_keys.size - 1
+    slot = ((key * _MIX) >> 33) & mask
+    while table_keys[slot] != _EMPTY and table_keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def grown_table(keys, count, size):
+    """Fresh table of ``size`` slots (a power of two) holding the first ``count`` keys."""
+    table_keys = np.full(size, _EMPTY, dtype=np.int64)
+    table_cells = np.zeros(size, dtype=np.int64)
+    for cell in range(count):
+        slot = find_slot(table_keys, keys[cell])
+        table_keys[slot] = keys[cell]
+        table_cells[slot] = cell
+    return table_keys, table_cells
+
+
+@njit(cache=True, nogil=True)
+def _assign(points, origin, per_mm):
+    """Cell number of each point, keys of the cells in order of first appearance, and the table."""
+    cell_of_point = np.empty(len(points), dtype=np.int64)
+    keys = np.empty(1024, dtype=np.int64)
+    table_keys, table_cells = grown_table(keys, 0, 4096)
+    count = 0
+    last_key, last_cell = _EMPTY, 0
+    for p in range(len(points)):
+        i = int((points[p, 0] - origin[0]) * per_mm)
+        j = int((points[p, 1] - origin[1]) * per_mm)
+        k = int((points[p, 2] - origin[2]) * per_mm)
+        key = cell_key(i, j, k)
+        if key != last_key:
+            slot = find_slot(table_keys, key)
+            if table_keys[slot] == _EMPTY:
+                if count == len(keys):
+                    bigger = np.empty(2 * len(keys), dtype=np.int64)
+                    bigger[:count] = keys
+                    keys = bigger
+                keys[count] = key
+                table_keys[slot] = key
+                table_cells[slot] = count
+                last_cell = count
+                count += 1
+                if 3 * count > table_keys.size:
+                    table_keys, table_cells = grown_table(keys, count, 4 * table_keys.size)
+            else:
+                last_cell = table_cells[slot]
+            last_key = key
+        cell_of_point[p] = last_cell
+    return cell_of_point, keys[:count].copy(), table_keys, table_cells
+
+
+@njit(cache=True, nogil=True)
+def _sorted_by_cell(cell_of_point, cells):
+    starts = np.zeros(cells + 1, dtype=np.int64)
+    for cell in cell_of_point:
+        starts[cell + 1] += 1
+    for cell in range(cells):
+        starts[cell + 1] += starts[cell]
+    fill = starts[:-1].copy()
+    order = np.empty(len(cell_of_point), dtype=np.int64)
+    for p in range(len(cell_of_point)):
+        cell = cell_of_point[p]
+        order[fill[cell]] = p
+        fill[cell] += 1
+    return order, starts
+
+
+@njit(cache=True, nogil=True)
+def nearest_one(x, y, z, most_mm, points, order, starts, table_keys, table_cells, origin, per_mm):
+    """Index and squared distance of the grid point nearest to (x, y, z) within ``most_mm``; -1 where there is none."""
+    cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
+    i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
+    inside = min(min(cx - i0, i0 + 1 - cx), min(cy - j0, j0 + 1 - cy), min(cz - k0, k0 + 1 - cz))
+    best, best_squared = -1, most_mm * most_mm
+    rings = int(most_mm * per_mm) + 1
+    for ring in range(rings + 1):
+        if ring > 0:
+            clear = (ring - 1 + inside) / per_mm
+            if clear * clear > best_squared:
+                break
+        for i in range(i0 - ring, i0 + ring + 1):
+            if i < 0 or i >= AXIS_CELLS:
+                continue
+            edge_i = abs(i - i0) == ring
+            for j in range(j0 - ring, j0 + ring + 1):
+                if j < 0 or j >= AXIS_CELLS:
+                    continue
+                edge = edge_i or abs(j - j0) == ring
+                step = 1 if edge or ring == 0 else 2 * ring
+                for k in range(k0 - ring, k0 + ring + 1, step):
+                    if k < 0 or k >= AXIS_CELLS:
+                        continue
+                    slot = find_slot(table_keys, cell_key(i, j, k))
+                    if table_keys[slot] == _EMPTY:
+                        continue
+                    cell = table_cells[slot]
+                    for at in range(starts[cell], starts[cell + 1]):
+                        p = order[at]
+                        dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+                        squared = dx * dx + dy * dy + dz * dz
+                        if squared < best_squared or (squared == best_squared and best < 0):
+                            best, best_squared = p, squared
+    return best, best_squared
+
+
+@njit(cache=True, nogil=True)
+def _nearest_all(
+    queries, most_mm, points, order, starts, table_keys, table_cells, origin, per_mm, indices, distances
+):  # fmt: skip
+    for q in range(len(queries)):
+        best, squared = nearest_one(
+            queries[q, 0], queries[q, 1], queries[q, 2], most_mm, points, order, starts, table_keys, table_cells,
+            origin, per_mm,
+        )  # fmt: skip
+        indices[q] = best
+        distances[q] = np.sqrt(squared) if best >= 0 else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _within_all(queries, radius, most, points, order, starts, table_keys, table_cells, origin, per_mm):
+    first = np.zeros(len(queries) + 1, dtype=np.int64)
+    indices = np.empty(max(64 * len(queries), 64), dtype=np.int64)
+    squares = np.empty(len(indices))
+    used = 0
+    limit = radius * radius
+    for q in range(len(queries)):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        i0 = int(np.floor((x - origin[0]) * per_mm))
+        j0 = int(np.floor((y - origin[1]) * per_mm))
+        k0 = int(np.floor((z - origin[2]) * per_mm))
+        begin = used
+        for i in range(max(i0 - 1, 0), min(i0 + 2, AXIS_CELLS)):
+            for j in range(max(j0 - 1, 0), min(j0 + 2, AXIS_CELLS)):
+                for k in range(max(k0 - 1, 0), min(k0 + 2, AXIS_CELLS)):
+                    slot = find_slot(table_keys, cell_key(i, j, k))
+                    if table_keys[slot] == _EMPTY:
+                        continue
+                    cell = table_cells[slot]
+                    if used + starts[cell + 1] - starts[cell] > len(indices):
+                        room = 2 * (used + starts[cell + 1] - starts[cell])
+                        more, more_squares = np.empty(room, dtype=np.int64), np.empty(room)
+                        more[:used], more_squares[:used] = indices[:used], squares[:used]
+                        indices, squares = more, more_squares
+                    for at in range(starts[cell], starts[cell + 1]):
+                        p = order[at]
+                        dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+                        squared = dx * dx + dy * dy + dz * dz
+                        if squared <= limit:
+                            indices[used], squares[used] = p, squared
+                            used += 1
+        rank = np.argsort(squares[begin:used], kind="mergesort")
+        kept = len(rank) if most < 0 else min(len(rank), most)
+        here, here_squares = indices[begin:used].copy(), squares[begin:used].copy()
+        for at in range(kept):
+            indices[begin + at], squares[begin + at] = here[rank[at]], here_squares[rank[at]]
+        used = begin + kept
+        first[q + 1] = used
+    return first, indices[:used].copy(), squares[:used].copy()

@@ -1,0 +1,176 @@
+"""Surface normals: the direction of least spread of a point's neighbours, turned towards the scanner."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import DegenerateError
+from grindvision.geometry import check_points
+from grindvision.geometry.neighbours import build_cells, within_radius
+
+Floats = NDArray[np.float64]
+
+
+def estimate_normals(
+    points: ArrayLike, radius_mm: float, most: int | None = None, viewpoint_mm: ArrayLike | None = None
+) -> Floats:
+    """Unit normals (N, 3) of points (N, 3) by principal component analysis of the neighbours within ``radius_mm``.
+
+    Args:
+        points: cloud in mm.
+        radius_mm: neighbourhood radius.
+        most: take only so many nearest neighbours.
+        viewpoint_mm: the scanner (3,), in the cloud's frame; normals are turned towards it. Left out, they are turned
+            by ``orient_by_neighbours``.
+
+    A point with fewer than three neighbours gets the normal (0, 0, 0).
+    """
+    points = check_points(points, "points")
+    around = within_radius(build_cells(points, radius_mm), points, radius_mm, most)
+    normals = _plane_normals(points, around.starts, around.indices)
+    if viewpoint_mm is None:
+        return orient_by_neighbours(points, normals, radius_mm)
+    return orient_to_viewpoint(points, normals, viewpoint_mm)
+
+
+def orient_to_viewpoint(points: ArrayLike, normals: ArrayLike, viewpoint_mm: ArrayLike) -> Floats:
+    """Normals (N, 3) with their signs chosen so that they face the viewpoint (3,)."""
+    points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
+    away = ((np.asarray(viewpoint_mm, dtype=float) - points) * normals).sum(axis=1) < 0
+    return np.where(away[:, None], -normals, normals)
+
+
+def orient_by_neighbours(points: ArrayLike, normals: ArrayLike, radius_mm: float) -> Floats:
+    """Normals (N, 3) made consistent along the surface, each connected piece bulging towards its normals.
+
+    Signs are handed from point to point along the spanning tree that turns least (Hoppe 1992); the sign of a whole piece
+    is the one for which its normals point away from its middle. For a nearly flat piece that sign is a guess.
+    """
+    points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
+    around = within_radius(build_cells(points, radius_mm), points, radius_mm, 12)
+    return _propagated(points, normals, around.starts, around.indices)
+
+
+def guess_viewpoint(points: ArrayLike) -> Floats | None:
+    """The origin, when it stands as far off the cloud as a scanner would (half the cloud's diagonal); otherwise None.
+
+    Clouds that come in the scanner's own frame have the scanner at the origin; clouds in another frame do not tell.
+    """
+    points = np.asarray(points, dtype=float)
+    if len(points) == 0:
+        raise DegenerateError("an empty cloud has no viewpoint")
+    low, high = points.min(axis=0), points.max(axis=0)
+    gap = np.maximum(np.maximum(low, -high), 0)
+    return np.zeros(3) if np.linalg.norm(gap) > 0.5 * np.linalg.norm(high - low) else None
+
+
+@njit(cache=True, nogil=True)
+def least_spread(xx, xy, xz, yy, yz, zz):
+    """Smallest eigenvalue of a symmetric 3x3 matrix and its unit eigenvector (value, x, y, z)."""
+    scale = max(abs(xx), abs(xy), abs(xz), abs(yy), abs(yz), abs(zz))
+    if scale == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    xx, xy, xz, yy, yz, zz = xx / scale, xy / scale, xz / scale, yy / scale, yz / scale, zz / scale
+    mean = (xx + yy + zz) / 3
+    dx, dy, dz = xx - mean, yy - mean, zz - mean
+    spread = np.sqrt((dx * dx + dy * dy + dz * dz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    if spread < 1e-14:
+        return mean * scale, 0.0, 0.0, 1.0
+    det = dx * (dy * dz - yz * yz) - xy * (xy * dz - yz * xz) + xz * (xy * yz - dy * xz)
+    cosine = min(max(det / (2 * spread**3), -1.0), 1.0)
+    value = mean + 2 * spread * np.cos(np.arccos(cosine) / 3 + 2 * np.pi / 3)
+    ax, ay, az = xx - value, yy - value, zz - value
+    # the rows of (matrix - value) span the plane across the eigenvector: take the best of their cross products
+    best, x, y, z = 0.0, 0.0, 0.0, 1.0
+    for u0, u1, u2, v0, v1, v2 in (
+        (ax, xy, xz, xy, ay, yz),
+        (ax, xy, xz, xz, yz, az),
+        (xy, ay, yz, xz, yz, az),
+    ):
+        c0, c1, c2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        length = c0 * c0 + c1 * c1 + c2 * c2
+        if length > best:
+            best, x, y, z = length, c0, c1, c2
+    length = np.sqrt(x * x + y * y + z * z)
+    return value * scale, x / length, y / length, z / length
+
+
+@njit(cache=True, nogil=True)
+def _plane_normals(points, starts, indices):
+    normals = np.zeros((len(points), 3))
+    for p in range(len(points)):
+        count = starts[p + 1] - starts[p]
+        if count < 3:
+            continue
+        mx = my = mz = 0.0
+        for at in range(starts[p], starts[p + 1]):
+            q = indices[at]
+            mx += points[q, 0]
+            my += points[q, 1]
+            mz += points[q, 2]
+        mx, my, mz = mx / count, my / count, mz / count
+        xx = xy = xz = yy = yz = zz = 0.0
+        for at in range(starts[p], starts[p + 1]):
+            q = indices[at]
+            x, y, z = points[q, 0] - mx, points[q, 1] - my, points[q, 2] - mz
+            xx += x * x
+            xy += x * y
+            xz += x * z
+            yy += y * y
+            yz += y * z
+            zz += z * z
+        _, normals[p, 0], normals[p, 1], normals[p, 2] = least_spread(xx, xy, xz, yy, yz, zz)
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def _propagated(points, normals, starts, indices):
+    """Kruskal's tree over the neighbour edges, flattest first, with the sign relation kept in a union-find forest."""
+    edges = len(indices)
+    first, second, turn = np.empty(edges, np.int64), np.empty(edges, np.int64), np.empty(edges)
+    for p in range(len(points)):
+        for at in range(starts[p], starts[p + 1]):
+            q = indices[at]
+            first[at], second[at] = p, q
+            turn[at] = 1 - abs(
+                normals[p, 0] * normals[q, 0] + normals[p, 1] * normals[q, 1] + normals[p, 2] * normals[q, 2]
+            )
+    parent, sign = np.arange(len(points)), np.ones(len(points))
+    for at in np.argsort(turn):
+        p, q = first[at], second[at]
+        dot = normals[p, 0] * normals[q, 0] + normals[p, 1] * normals[q, 1] + normals[p, 2] * normals[q, 2]
+        root_p, sign_p = _root(parent, sign, p)
+        root_q, sign_q = _root(parent, sign, q)
+        if root_p != root_q:
+            parent[root_q] = root_p
+            sign[root_q] = sign_p * sign_q * (1.0 if dot >= 0 else -1.0)
+    signs, roots = np.empty(len(points)), np.empty(len(points), np.int64)
+    middle, count, bulge = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points))
+    for p in range(len(points)):
+        roots[p], signs[p] = _root(parent, sign, p)
+        middle[roots[p]] += points[p]
+        count[roots[p]] += 1
+    for p in range(len(points)):
+        root = roots[p]
+        for k in range(3):
+            bulge[root] += signs[p] * normals[p, k] * (points[p, k] - middle[root, k] / count[root])
+    result = np.empty_like(normals)
+    for p in range(len(points)):
+        result[p] = normals[p] * (signs[p] if bulge[roots[p]] >= 0 else -signs[p])
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _root(parent, sign, p):
+    """Root of p and p's sign relative to it, halving the path on the way."""
+    total = 1.0
+    while parent[p] != p:
+        above = parent[p]
+        sign[p] *= sign[above] if parent[above] != above else 1.0
+        if parent[above] != above:
+            parent[p] = parent[above]
+        total *= sign[p]
+        p = parent[p]
+    return p, total
