@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from grindvision.book.designs import one_at_a_time, rank_sensitivity, space_filling
 from grindvision.book.study import case_rng, run_study
 from grindvision.book.study_rows import RowsFile
 from grindvision.errors import DegenerateError, FileError, InputError
@@ -214,3 +215,38 @@ def test_the_book_stays_light_to_import():
     light = f"import sys; import grindvision.book.study; print({heavy} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", light], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "set()"
+
+
+def test_one_at_a_time_moves_one_parameter():
+    table = one_at_a_time({"a": 1, "b": 2.0}, {"a": [1, 5], "b": [0.0, 2.0, 4.0]}, repeats=2)
+    assert len(table) == 2 * 5 and set(table["repeat"]) == {0, 1}
+    assert (table.loc[table["varied"] == "a", "b"] == 2.0).all()
+    assert (table.loc[table["varied"] == "b", "a"] == 1).all()
+    with pytest.raises(InputError, match="'c' is varied"):
+        one_at_a_time({"a": 1}, {"c": [1]}, repeats=1)
+
+
+def test_space_filling_covers_every_range_evenly():
+    table = space_filling({"x": (0.0, 2.0), "n": (3, 6)}, cases=64, seed=1)
+    assert (np.histogram(table["x"], bins=16, range=(0, 2))[0] == 4).all()
+    assert (table["n"].value_counts().reindex([3, 4, 5, 6]) == 16).all()
+    pd.testing.assert_frame_equal(table, space_filling({"x": (0.0, 2.0), "n": (3, 6)}, cases=64, seed=1))
+    with pytest.raises(InputError, match="power of two"):
+        space_filling({"x": (0.0, 1.0)}, cases=60, seed=1)
+    with pytest.raises(InputError, match="range of x is empty"):
+        space_filling({"x": (1.0, 1.0)}, cases=64, seed=1)
+
+
+def test_ranking_recovers_known_shares(rng):
+    cases = space_filling(dict.fromkeys("abcd", (-1.0, 1.0)), cases=256, seed=2)
+    noise = 0.3 * rng.standard_normal(256)
+    response = 2 * cases["a"] + cases["b"] ** 2 + cases["b"] * cases["c"] + noise
+    parts = {"a": 4 / 3, "b": 1 / 5 - 1 / 9, "c": 0.0, "d": 0.0, "interactions": 1 / 9, "unexplained": 0.09}
+    ranked = rank_sensitivity(cases, response, rng).set_index("parameter")
+    assert list(ranked.index[:2]) == ["a", "b"] and list(ranked.index[4:]) == ["interactions", "unexplained"]
+    for name, part in parts.items():
+        assert ranked.loc[name, "share"] == pytest.approx(part / sum(parts.values()), abs=0.02)
+    assert (ranked["share_std"] < 0.06).all() and (ranked.loc[["c", "d"], "share_std"] < 0.003).all()
+    assert ranked.loc["a", "effect"] == pytest.approx(4.0, abs=0.1)
+    with pytest.raises(InputError, match="at least 60"):
+        rank_sensitivity(cases.iloc[:50], response[:50], rng)
