@@ -74,8 +74,8 @@ def rank_sensitivity(
     for the number of terms, as an adjusted R^2 is, so an idle parameter scatters around zero.
 
     Returns:
-        ``parameter, share, share_std, effect``: the standard deviation comes from random halves of the cases; ``effect``
-        is the change of the response from the low to the high end of the range by the linear term, NaN in the last rows.
+        ``parameter, share, share_std, effect``: ``share_std`` comes from random halves of the cases; ``effect`` is the
+        change of the response from the low to the high end of the range by the linear term, NaN in the last rows.
 
     Raises:
         InputError: fewer than four cases per term, or lengths that differ.
