@@ -5,14 +5,12 @@ This room sees measurements and the nominal arm; it never sees the truth.
 
 from grindvision.calibration.accurate import (
     Calibration,
-    ErrorStatistics,
     Options,
     calibrate,
-    error_statistics,
-    held_out_errors,
 )
 from grindvision.calibration.coarse import CoarseCalibration, best_fit, coarse_start, three_point
 from grindvision.calibration.estimate import Spreads, noise_covariances, residuals_of, unit_sizes
+from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_rows
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
 from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements, read_measurements
 from grindvision.calibration.model import (
@@ -27,12 +25,14 @@ from grindvision.calibration.model import (
 from grindvision.calibration.poses import PoseChoice, choose_poses
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.sphere_centres import find_sphere, noise_clumping
+from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 
 __all__ = [
     "COVARIANCE_COLUMNS",
     "Calibration",
     "CoarseCalibration",
     "ErrorStatistics",
+    "HeldOut",
     "Identifiability",
     "Measurements",
     "Options",
@@ -47,15 +47,16 @@ __all__ = [
     "coarse_start",
     "consistent_rows",
     "correlations",
+    "cross_validated",
     "design_matrix",
     "entry_name",
     "error_statistics",
     "find_sphere",
-    "held_out_errors",
     "joint_slopes",
     "moved_cell",
     "noise_clumping",
     "noise_covariances",
+    "on_test_rows",
     "read_measurements",
     "residuals_of",
     "table_entries",

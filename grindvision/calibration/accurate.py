@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +25,8 @@ from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, moved_cell, table_entries
 from grindvision.calibration.robust import consistent_rows
-from grindvision.errors import DegenerateError, InputError
+from grindvision.calibration.statistics import ErrorStatistics, error_statistics
+from grindvision.errors import InputError
 from grindvision.geometry import inverse
 
 Floats = NDArray[np.float64]
@@ -37,12 +37,12 @@ Flags = NDArray[np.bool_]
 class Options:
     """How to calibrate.
 
-    ``base_fixed``: the tracker already measures in the arm's base frame. ``free``: entries of the MDH table to estimate, by
-    name (``d3_mm``), instead of the usual ones. ``length_prior_mm`` and ``angle_prior_rad``: how far the table may deviate
-    (standard deviation); learnt from the data where left out. ``robust``: drop rows that contradict the others and name
-    them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
-    ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no priors,
-    generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
+    ``base_fixed``: the tracker already measures in the arm's base frame. ``free``: entries of the MDH table to
+    estimate, by name (``d3_mm``), instead of the usual ones. ``length_prior_mm`` and ``angle_prior_rad``: how far the
+    table may deviate (standard deviation); learnt from the data where left out. ``robust``: drop rows that contradict
+    the others and name them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
+    ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no
+    priors, generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
     """
 
     base_fixed: bool = False
@@ -64,29 +64,13 @@ class Options:
 
 
 @dataclass(frozen=True)
-class ErrorStatistics:
-    """Lengths of residuals in mm: their mean, root mean square, maximum and standard deviation over ``count`` rows."""
-
-    mean: float
-    rms: float
-    max: float
-    std: float
-    count: int
-
-    def __str__(self) -> str:
-        return (
-            f"mean {self.mean:.3f} mm, rms {self.rms:.3f}, max {self.max:.3f}, std {self.std:.3f} ({self.count} points)"
-        )
-
-
-@dataclass(frozen=True)
 class Calibration:
     """A calibrated cell and what is known about it.
 
     ``cell`` after, ``coarse`` before; ``unknowns`` names K numbers, ``values`` (K,) their change from ``coarse`` and
     ``covariance`` (K, K) that of the result (scanner and base: small motions), in mm and rad. ``identifiability`` holds
-    rank, singular values and null space. ``spreads`` are the noise and the deviations found. ``dropped`` numbers the training
-    rows left out, ``warnings`` says what the user should know.
+    rank, singular values and null space. ``spreads`` are the noise and the deviations found. ``dropped`` numbers the
+    training rows left out, ``warnings`` says what the user should know.
     """
 
     cell: ScannerOnArm
@@ -115,13 +99,14 @@ class Calibration:
     def errors(self, train: bool, before: bool = False) -> ErrorStatistics:
         """Error statistics of the training or the test rows, after calibration or before it (coarse)."""
         chosen = self.measurements.train == train
-        return error_statistics(self.coarse if before else self.cell, self.measurements.rows(chosen))
+        return error_statistics(residuals_of(self.coarse if before else self.cell, self.measurements.rows(chosen)))
 
     def __str__(self) -> str:
         state = "" if self.converged else ", not converged"
         return (
             f"calibration of {len(self.unknowns)} unknowns, rank {self.identifiability.rank}{state};"
-            f" training error {self.errors(train=True).mean:.3f} mm, before {self.errors(train=True, before=True).mean:.3f} mm"
+            f" training error {self.errors(train=True).mean:.3f} mm,"
+            f" before {self.errors(train=True, before=True).mean:.3f} mm"
         )
 
 
@@ -186,49 +171,6 @@ def calibrate(
         converged,
         tuple(warnings),
     )
-
-
-def held_out_errors(
-    measurements: Measurements,
-    arm: MdhArm,
-    options: Options | None = None,
-    folds: int = 5,
-    seed: int = 0,
-) -> tuple[ErrorStatistics, ErrorStatistics, str]:
-    """Cross-validated errors before and after, and how the rows were split: whole spheres, or whole poses, stay out together.
-
-    Raises:
-        DegenerateError: fewer groups than two.
-    """
-    for name, labels in (("sphere", measurements.sphere), ("pose", measurements.pose)):
-        groups = np.unique(labels)
-        if len(groups) >= folds:
-            break
-    folds = min(folds, len(groups))
-    if folds < 2:
-        raise DegenerateError("all rows carry one sphere label and one pose label; label them to hold some out")
-    part = dict(zip(np.random.default_rng(seed).permutation(groups), np.arange(len(groups)) % folds, strict=True))
-    fold = np.array([part[label] for label in labels])
-    before, after = np.empty((len(fold), 3)), np.empty((len(fold), 3))
-    for number in range(folds):
-        out = fold == number
-        fit = calibrate(replace(measurements, train=~out), arm, options)
-        before[out] = residuals_of(fit.coarse, measurements.rows(out))
-        after[out] = residuals_of(fit.cell, measurements.rows(out))
-    return _statistics(before), _statistics(after), f"{folds} folds of whole {name} labels, seed {seed}"
-
-
-def error_statistics(cell: ScannerOnArm, measurements: Measurements) -> ErrorStatistics:
-    """Statistics of the distances between measured and predicted points of all rows."""
-    return _statistics(residuals_of(cell, measurements))
-
-
-def _statistics(residuals: Floats) -> ErrorStatistics:
-    if not len(residuals):
-        return ErrorStatistics(np.nan, np.nan, np.nan, np.nan, 0)
-    lengths = np.linalg.norm(residuals, axis=1)
-    rms = np.sqrt((lengths**2).mean())
-    return ErrorStatistics(*(float(v) for v in (lengths.mean(), rms, lengths.max(), lengths.std())), len(lengths))
 
 
 def _iterated(

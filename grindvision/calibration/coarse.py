@@ -16,7 +16,6 @@ from grindvision.geometry import (
     check_points,
     fit_rigid,
     inverse,
-    move_points,
     nearest_rotation,
     random_rotation,
     rigid,
@@ -66,7 +65,7 @@ def three_point(arm: MdhArm, q_rad: ArrayLike, scanner_mm: ArrayLike, base_mm: A
 def best_fit(
     measurements: Measurements, arm: MdhArm, base_fixed: bool = False, robust: bool = True
 ) -> CoarseCalibration:
-    """Scanner's place (and, unless ``base_fixed``, the tracker's) that fits all measurements best with the arm as it is.
+    """Scanner's place (and, unless ``base_fixed``, the tracker's) that fits all measurements best, the arm as it is.
 
     A linear least squares start, then Gauss-Newton; ``robust`` keeps a few wrong rows from mattering.
 

@@ -24,7 +24,8 @@ def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -
     """Refuse what cannot be calibrated with, and return warnings in words about what can but should be known.
 
     Raises:
-        InputError: joints do not fit the arm. UnitError: degrees or metres. DegenerateError: too few rows, one pose only.
+        InputError: joints do not fit the arm. UnitError: degrees or metres. DegenerateError: too few rows, one pose
+        only.
     """
     if measurements.q_rad.shape[1] != arm.n:
         raise InputError(f"measurements of {measurements.q_rad.shape[1]} joints for an arm of {arm.n}")
@@ -38,7 +39,7 @@ def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -
     moved = np.ptp(good.q_rad, axis=0)
     if moved.max() < 1e-3:
         raise DegenerateError(
-            f"all {len(good)} training measurements have the same joint angles (within {np.degrees(moved.max()):.2g} deg);"
+            f"all {len(good)} training rows have the same joint angles (within {np.degrees(moved.max()):.2g} deg);"
             " nothing about the arm can be learnt from one pose: measure in many"
         )
     warnings = []
@@ -72,7 +73,8 @@ def check_fit(
     """Look at a fit that leaves too much, find the reason, and return what stays unexplained as a warning.
 
     Raises:
-        UnitError, InputError: degrees, metres, a joint that counts the other way, or a shifted pairing explains the data far better.
+        UnitError, InputError: degrees, metres, a joint that counts the other way, or a shifted pairing explains the
+        data far better.
         DegenerateError: half of the rows or more contradict the rest.
     """
     typical = median_error(cell, training)
@@ -91,7 +93,8 @@ def check_fit(
             )
     if kept.mean() <= 0.7:
         raise DegenerateError(
-            f"{int((~kept).sum())} of {len(kept)} training rows contradict the rest; check the pairing of scans and spheres"
+            f"{int((~kept).sum())} of {len(kept)} training rows contradict the rest;"
+            " check the pairing of scans and spheres"
         )
     reach = np.hypot(coarse.arm.table[:, 1], coarse.arm.table[:, 2]).sum()
     if typical > max(10.0, 0.01 * reach):
@@ -127,14 +130,14 @@ def _explanations(
     for shift in (1, -1):
         found.append(
             (
-                f"the tracker's rows are shifted by {'one' if shift == 1 else 'minus one'} against scans and joint angles",
+                f"the tracker's rows are shifted by {shift} against scans and joint angles",
                 InputError,
                 lambda m, shift=shift: replace(m, tracker_mm=np.roll(m.tracker_mm, -shift, axis=0)),
             )
         )
         found.append(
             (
-                f"the joint angles are shifted by {'one' if shift == 1 else 'minus one'} row against the spheres",
+                f"the rows of joint angles are shifted by {shift} against the spheres",
                 InputError,
                 lambda m, shift=shift: replace(m, q_rad=np.roll(m.q_rad, -shift, axis=0)),
             )

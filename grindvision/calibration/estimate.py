@@ -23,8 +23,9 @@ _MOST_DEVIATION = np.array([100.0, 0.2])
 class Spreads:
     """Standard deviations that decide the weights: of what is measured, and of what the MDH table may deviate by.
 
-    ``rest_mm``: isotropic noise per axis on top of the covariances that the measurements bring; ``joint_rad``: repeatability
-    of each joint; ``length_mm`` and ``angle_rad``: deviations of the table's lengths and angles from the nominal ones.
+    ``rest_mm``: isotropic noise per axis on top of the covariances that the measurements bring; ``joint_rad``:
+    repeatability of each joint; ``length_mm`` and ``angle_rad``: deviations of the table's lengths and angles from
+    the nominal ones.
     """
 
     rest_mm: float
@@ -42,8 +43,8 @@ class Spreads:
 def unit_sizes(measurements: Measurements, unknowns: Unknowns) -> Floats:
     """What counts as one unit of each unknown (K,): 1 mm, and the angle that moves a far point by 1 mm.
 
-    Columns in mm and columns in rad can only be compared after this explicit scaling; the far distance is the rms spread of
-    the measured points plus the rms distance of the spheres from the scanner.
+    Columns in mm and columns in rad can only be compared after this explicit scaling; the far distance is the rms
+    spread of the measured points plus the rms distance of the spheres from the scanner.
     """
     spread = measurements.tracker_mm - measurements.tracker_mm.mean(axis=0)
     far = np.sqrt((spread**2).sum(axis=1).mean()) + np.sqrt((measurements.scanner_mm**2).sum(axis=1).mean())
@@ -68,7 +69,7 @@ def prior_widths(unknowns: Unknowns, spreads: Spreads) -> Floats:
 
 
 def deviations(cell: ScannerOnArm, nominal: MdhArm, unknowns: Unknowns) -> Floats:
-    """Deviation (K,) of the cell's table from the nominal one; zero for scanner and base, which have no nominal place."""
+    """Deviation (K,) of the cell's table from the nominal one; zero for scanner and base, which have none."""
     values = np.zeros(len(unknowns))
     values[unknowns.in_table] = (cell.arm.table - nominal.table).ravel()[list(unknowns.table)]
     return values
@@ -85,8 +86,8 @@ def gauss_newton(
 ) -> tuple[ScannerOnArm, int, bool]:
     """Move the cell to the least weighted squares of residuals and deviations; the cell, steps taken, converged or not.
 
-    Directions that neither data nor priors hold are left where they are (smallest step). ``robust`` weights each row down by
-    Cauchy's function of its residual, so that some wildly wrong rows do not matter.
+    Directions that neither data nor priors hold are left where they are (smallest step). ``robust`` weights each row
+    down by Cauchy's function of its residual, so that some wildly wrong rows do not matter.
     """
     units, widths = unit_sizes(measurements, unknowns), prior_widths(unknowns, spreads)
 
@@ -132,8 +133,8 @@ def estimate_spreads(
 ) -> Spreads:
     """Spreads under which the residuals are most likely, scanner and base integrated out (restricted likelihood).
 
-    The error model is linear here, so four variances are found by minorise-maximise steps: each is multiplied by the square
-    root of the ratio of the squares it explains to the squares it expects. No step can lower the likelihood.
+    The error model is linear here, so four variances are found by minorise-maximise steps: each is multiplied by the
+    square root of the ratio of the squares it explains to the squares it expects. No step can lower the likelihood.
     """
     units = unit_sizes(measurements, unknowns)
     design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns) * units

@@ -17,10 +17,10 @@ Floats = NDArray[np.float64]
 class Identifiability:
     """Rank and null space of a whitened design matrix whose K columns were scaled to comparable units.
 
-    ``singular_values`` (K,) of the scaled matrix, largest first: 1 / value is the standard deviation, in those units, of the
-    combination it belongs to. ``null_space`` (K, K - rank) in the unknowns' own units, one free combination a column, as
-    sparse as elimination makes it. ``known`` (K,) marks unknowns that stand in no free combination. ``sentences`` say the
-    same in words. ``rank_qr`` is the rank by QR with column pivoting, a second opinion.
+    ``singular_values`` (K,) of the scaled matrix, largest first: 1 / value is the standard deviation, in those units,
+    of the combination it belongs to. ``null_space`` (K, K - rank) in the unknowns' own units, one free combination a
+    column, as sparse as elimination makes it. ``known`` (K,) marks unknowns that stand in no free combination.
+    ``sentences`` say the same in words. ``rank_qr`` is the rank by QR with column pivoting, a second opinion.
     """
 
     names: tuple[str, ...]
@@ -88,7 +88,7 @@ def correlations(covariance: ArrayLike, known: ArrayLike) -> Floats:
 
 
 def _sparse_basis(basis: Floats) -> Floats:
-    """Reduced echelon form of a null space (K, m): every column has a 1 where the others have 0; small entries cleared."""
+    """Reduced echelon form of a null space (K, m): a column has a 1 where the others have 0; small entries cleared."""
     echelon = basis.copy()
     pivots: list[int] = []
     for column in range(echelon.shape[1]):

@@ -22,9 +22,10 @@ COVARIANCE_COLUMNS = ("sxx_mm2", "sxy_mm2", "sxz_mm2", "syy_mm2", "syz_mm2", "sz
 class Measurements:
     """M sphere centres, each seen by the scanner on an arm of n joints and measured by a tracker.
 
-    ``q_rad`` (M, n); ``scanner_mm`` (M, 3) in the scanner's frame, or in the tool's when the tracker's reflector sits on the
-    tool; ``tracker_mm`` (M, 3) in the tracker's frame. ``pose`` and ``sphere`` (M,) are labels, ``train`` (M,) marks the
-    rows to fit. ``scanner_covariance_mm2`` (M, 3, 3), in the scanner's frame, and ``tracker_std_mm`` may be left out.
+    ``q_rad`` (M, n); ``scanner_mm`` (M, 3) in the scanner's frame, or in the tool's when the tracker's reflector sits
+    on the tool; ``tracker_mm`` (M, 3) in the tracker's frame. ``pose`` and ``sphere`` (M,) are labels, ``train`` (M,)
+    marks the rows to fit. ``scanner_covariance_mm2`` (M, 3, 3), in the scanner's frame, and ``tracker_std_mm`` may be
+    left out.
     """
 
     q_rad: Floats
@@ -104,7 +105,8 @@ def read_measurements(path: str | Path, joints: int) -> Measurements:
     Six further columns ``COVARIANCE_COLUMNS`` are used where present. Without ``split`` every row is a training row.
 
     Raises:
-        FileError: missing or damaged file, a column missing, text or NaN where a number belongs, a split that is neither
+        FileError: missing or damaged file, a column missing, text or NaN where a number belongs, a split that is
+        neither
             train nor test; the message names row and column.
     """
     angles = [f"q{i + 1}_rad" for i in range(joints)]

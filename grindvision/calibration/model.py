@@ -1,4 +1,4 @@
-"""The error model: an arm with a scanner on its last joint and a tracker beside it, and how each unknown moves a point."""
+"""The error model: an arm, a scanner on its last joint, a tracker, and how each unknown moves a measured point."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MOTION = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 
 @dataclass(frozen=True)
 class ScannerOnArm:
-    """An arm, the scanner on its last joint (``T_joint_scanner``) and the tracker that looks on (``T_tracker_base``)."""
+    """An arm, the scanner on its last joint (``T_joint_scanner``) and the tracker looking on (``T_tracker_base``)."""
 
     arm: MdhArm
     T_joint_scanner: Floats
@@ -44,9 +44,9 @@ class ScannerOnArm:
 class Unknowns:
     """Which numbers are sought: the scanner's small motion, entries of the MDH table, the base's small motion.
 
-    ``scanner`` is 6 (motion), 3 (shift only) or 0 columns, ``table`` numbers the entries of the flattened MDH table, ``base``
-    is 6 or 0 columns. ``names`` carry the units; the number in ``d3_mm`` is the row of the table, so ``alpha3_rad`` is the
-    paper's alpha_2.
+    ``scanner`` is 6 (motion), 3 (shift only) or 0 columns, ``table`` numbers the entries of the flattened MDH table,
+    ``base`` is 6 or 0 columns. ``names`` carry the units; the number in ``d3_mm`` is the row of the table, so
+    ``alpha3_rad`` is the paper's alpha_2.
     """
 
     scanner: int
@@ -84,8 +84,8 @@ def entry_name(entry: int) -> str:
 def table_entries(arm: MdhArm, names: Sequence[str] | None = None) -> tuple[int, ...]:
     """Entries of the flattened MDH table to estimate: those named, or the usual ones.
 
-    The usual ones are alpha, a, d and theta of every joint, and Hayati's beta where an axis is nominally parallel to the one
-    before it (behind the first joint): there, and only there, the other four do not suffice.
+    The usual ones are alpha, a, d and theta of every joint, and Hayati's beta where an axis is nominally parallel to
+    the one before it (behind the first joint): there, and only there, the other four do not suffice.
 
     Raises:
         InputError: a name that is no entry of this arm's table.

@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 class PoseChoice:
     """``chosen`` (count,) numbers of candidates, ascending; ``log_determinant`` of their information, and at ``start``.
 
-    Both in the combinations that the candidates together can tell; half the difference per combination is the logarithm by
-    which the mean standard deviation shrinks against the random start.
+    Both in the combinations that the candidates together can tell; half the difference per combination is the
+    logarithm by which the mean standard deviation shrinks against the random start.
     """
 
     chosen: NDArray[np.int64]

@@ -11,7 +11,7 @@ FALSE_ALARM = 1e-5
 
 
 def consistent_rows(residuals_mm: ArrayLike, covariances_mm2: ArrayLike) -> NDArray[np.bool_]:
-    """Flags (M,) of the rows whose residuals (M, 3) fit their covariances (M, 3, 3), whose common scale is found robustly.
+    """Flags (M,) of the rows whose residuals (M, 3) fit their covariances (M, 3, 3) up to a common scale.
 
     The scale comes from the median squared Mahalanobis distance, so up to half of the rows may be wrong.
     """

@@ -65,8 +65,8 @@ def find_sphere(
 def noise_clumping(points: ArrayLike, fit: SphereFit, cells: int = 40) -> float:
     """How many times neighbouring points share their error: variance of patch means over what independent noise gives.
 
-    A scanner's noise is correlated and its field distorted, so 10,000 points do not average like 10,000 throws. The cap is
-    split into about ``cells`` patches of nearest neighbours; at least 1 is returned.
+    A scanner's noise is correlated and its field distorted, so 10,000 points do not average like 10,000 throws. The
+    cap is split into about ``cells`` patches of nearest neighbours; at least 1 is returned.
     """
     points = np.asarray(points, dtype=float)
     left = fit.distance(points)
