@@ -15,13 +15,18 @@ from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
 from grindvision.cell.scanners import DepthCamera, Scan, Scanner, Sighting, StructuredLightScanner
 from grindvision.cell.solids import Solid, assembled
 from grindvision.cell.spheres import measure_sphere, scan_sphere, sphere_centre_errors, sphere_on_nest
+from grindvision.cell.views import view_from
+from grindvision.cell.weld_pieces import KINDS, Groove, WeldPiece, weld_piece
+from grindvision.cell.weld_scene import WeldScene, weld_scene
 
 __all__ = [
+    "KINDS",
     "SOURCES",
     "CalibrationExperiment",
     "CalibrationPlan",
     "DepthCamera",
     "GrindingRobot",
+    "Groove",
     "LaserTracker",
     "Scan",
     "Scanner",
@@ -30,6 +35,8 @@ __all__ = [
     "Solid",
     "StructuredLightScanner",
     "Target",
+    "WeldPiece",
+    "WeldScene",
     "assembled",
     "calibration_experiment",
     "calibration_plan",
@@ -42,4 +49,7 @@ __all__ = [
     "sphere_centre_errors",
     "sphere_on_nest",
     "true_arm",
+    "view_from",
+    "weld_piece",
+    "weld_scene",
 ]

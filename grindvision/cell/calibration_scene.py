@@ -130,8 +130,9 @@ def directions_seeing(
     good = (missed < 1.0) & (q >= low).all(axis=1) & (q <= high).all(axis=1) & (poses[:, 2, 2] < -0.3)
     q, poses = q[good], poses[good]
     if len(q) < count:
+        place_mm = ", ".join(f"{value:.0f}" for value in centre)
         raise SightError(
-            f"the sphere at ({', '.join(f'{v:.0f}' for v in centre)}) mm can be seen from {len(q)} of {tries} directions"
+            f"the sphere at ({place_mm}) mm can be seen from {len(q)} of {tries} directions"
             f" tried, {count} are needed; place it nearer to the arm"
         )
     axes = np.concatenate([poses[:, :3, 2], 0.3 * poses[:, :3, 0]], axis=1)

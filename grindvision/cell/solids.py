@@ -151,13 +151,19 @@ def lofted(name: str, upper: Floats, lower: Floats) -> Shape:
     rim = np.concatenate([index[:-1, 0], index[-1, :-1], index[:0:-1, -1], index[0, :0:-1]])
     after = np.roll(rim, -1)
     faces.append(quads(rim, rim + rows * columns, after + rows * columns, after))
-    mesh = m3.Mesh64(
-        np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)]), np.concatenate(faces).astype(np.uint64)
-    )
-    body = m3.Manifold(mesh)
-    if body.status() != m3.Error.NoError or body.is_empty():
-        raise InputError(f"{name}: the sizes given make a shape that cuts itself; use gentler curves or smaller sizes")
-    return Shape.named(body, name)
+    return _closed(name, np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)]), np.concatenate(faces))
+
+
+def swept(name: str, rings: Floats) -> Shape:
+    """Solid between rings (R, P, 3), each a convex outline counter-clockwise when seen against the way they follow."""
+    count, corners = rings.shape[:2]
+    index = np.arange(count * corners).reshape(count, corners)
+    after = np.roll(index, -1, axis=1)
+    side = [index[:-1].ravel(), after[:-1].ravel(), after[1:].ravel(), index[1:].ravel()]
+    faces = [np.stack([side[0], side[1], side[2]], 1), np.stack([side[0], side[2], side[3]], 1)]
+    fan = np.array([[0, i, i + 1] for i in range(1, corners - 1)])
+    faces += [index[0][fan][:, ::-1], index[-1][fan]]
+    return _closed(name, rings.reshape(-1, 3), np.concatenate(faces))
 
 
 def check_size(name: str, size_mm: float) -> float:
@@ -169,3 +175,10 @@ def check_size(name: str, size_mm: float) -> float:
     if not (np.isfinite(size_mm) and size_mm > 0):
         raise InputError(f"{name} is {size_mm} mm; it must be above zero")
     return float(size_mm)
+
+
+def _closed(name: str, vertices: Floats, triangles: Integers) -> Shape:
+    body = m3.Manifold(m3.Mesh64(vertices, triangles.astype(np.uint64)))
+    if body.status() != m3.Error.NoError or not body.volume() > 0:
+        raise InputError(f"{name}: the sizes given make a shape that cuts itself; use gentler curves or smaller sizes")
+    return Shape.named(body, name)
