@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
-from grindvision.book.scoreboard import write_scoreboard
+from grindvision.book.answers import write_scoreboard
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 

@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEX
 @dataclass
 class _Session:
     chapter: str = ""
+    answers: dict[tuple[str, str], dict[str, object]] = field(default_factory=dict)
 
 
 _session = _Session()
@@ -58,17 +59,20 @@ def start(chapter: str) -> None:
     os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
 
     import matplotlib.pyplot as plt
+    import pandas as pd
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     plt.style.use(Path(__file__).with_name("book.mplstyle"))
+    pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
     pyvista.set_jupyter_backend("static")
     pyvista.global_theme.background = "white"
     pyvista.global_theme.font.color = "black"
     pyvista.global_theme.window_size = [1200, 800]
     pyvista.global_theme.anti_aliasing = "ssaa"
     _session.chapter = chapter
+    _session.answers.clear()
 
 
 def fast() -> bool:
@@ -85,6 +89,11 @@ def current_chapter() -> str:
     if not _session.chapter:
         raise InputError('no chapter runs; begin with book.start("03") (the number of your chapter)')
     return _session.chapter
+
+
+def given_answers() -> dict[tuple[str, str], dict[str, object]]:
+    """What the running chapter has answered so far: (item, quantity) -> row of its ``answers_NN.csv``."""
+    return _session.answers
 
 
 def provenance() -> pd.DataFrame:

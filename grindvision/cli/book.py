@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
 
     from grindvision.book.chapters import Outcome, chosen, rebuild
     from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
-    from grindvision.book.scoreboard import scoreboard, summary
+    from grindvision.book.answers import scoreboard, summary
 
     figures = FAST_FIGURES if options.fast else FIGURES
     total = len(chosen(options.only))

@@ -15,8 +15,15 @@ myst_heading_anchors = 3
 
 html_theme = "sphinx_book_theme"
 html_title = "grindvision"
-html_theme_options = {"use_download_button": False, "show_toc_level": 2, "show_navbar_depth": 1}
+html_theme_options = {
+    "use_download_button": False,
+    "show_toc_level": 2,
+    "show_navbar_depth": 1,
+    "navbar_persistent": [],
+    "navbar_end": [],
+}
 html_sidebars = {"**": ["navbar-logo.html", "search-button-field.html", "sbt-sidebar-nav.html"]}
+html_context = {"default_mode": "light"}
 html_static_path = ["book.css"]
 html_css_files = ["book.css"]
 html_show_sourcelink = False

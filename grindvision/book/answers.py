@@ -1,4 +1,4 @@
-"""The scoreboard: every number of ``expected.csv`` beside the rebuilt one, with difference, tolerance and verdict."""
+"""Answers of the chapters and the scoreboard: every number of ``expected.csv`` beside the rebuilt one, with difference, tolerance and verdict."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from grindvision.book.figures import csv_text, markdown_table
 from grindvision.book.places import figures_folder, finished_folder
-from grindvision.book.session import current_chapter, fast
+from grindvision.book.session import current_chapter, fast, given_answers
 from grindvision.errors import FileError, InputError
 from grindvision.files import read_table, write_text
 
@@ -21,8 +21,6 @@ COLUMNS = [
     "item", "source", "quantity", "unit", "paper", "rebuilt", "difference", "tolerance", "verdict", "kind", "chapter",
     "figure",
 ]  # fmt: skip
-
-_answers: dict[tuple[str, str], dict[str, object]] = {}
 
 
 def answer(item: str, quantity: str, value: float, kind: str, figure: str = "") -> None:
@@ -55,7 +53,8 @@ def answer(item: str, quantity: str, value: float, kind: str, figure: str = "") 
     value = float(value)
     if not abs(value) < float("inf"):
         raise InputError(f"{item} / {quantity}: the rebuilt value {value} is no finite number")
-    _answers[item, quantity] = {
+    answers = given_answers()
+    answers[item, quantity] = {
         "item": item,
         "quantity": quantity,
         "rebuilt": value,
@@ -63,14 +62,14 @@ def answer(item: str, quantity: str, value: float, kind: str, figure: str = "") 
         "figure": figure,
         "settings": "fast" if fast() else "full",
     }
-    write_text(figures_folder() / f"answers_{chapter}.csv", csv_text(pd.DataFrame(_answers.values())))
+    write_text(figures_folder() / f"answers_{chapter}.csv", csv_text(pd.DataFrame(answers.values())))
 
 
 def verdicts() -> pd.DataFrame:
     """This chapter's rows: item, quantity, unit, paper, rebuilt, difference, tolerance, verdict."""
     import pandas as pd
 
-    table = judged(pd.DataFrame(_answers.values(), columns=list(_ANSWER_COLUMNS)))
+    table = judged(pd.DataFrame(given_answers().values(), columns=list(_ANSWER_COLUMNS)))
     mine = table[table["chapter"] == current_chapter()].reset_index(drop=True)
     return mine[["item", "quantity", "unit", "paper", "rebuilt", "difference", "tolerance", "verdict"]]
 

@@ -1,0 +1,366 @@
+"""The book's machinery: what it saves, how it judges, what it runs and what it refuses."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import nbformat
+import numpy as np
+import pandas as pd
+import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+from grindvision import book, cli, paper
+from grindvision.book.agreement import disagreements
+from grindvision.book.chapters import chosen, rebuild
+from grindvision.book.answers import judged, verdict, write_scoreboard
+from grindvision.errors import FileError, InputError
+
+EXPECTED = paper.expected()
+FIRST = EXPECTED.iloc[0]
+
+
+@pytest.fixture
+def figures(tmp_path, monkeypatch) -> Path:
+    """A started chapter (the one that answers the first expected row) that writes to a folder of its own."""
+    monkeypatch.setenv("GRINDVISION_FIGURES", str(tmp_path / "figures"))
+    monkeypatch.setenv("GRINDVISION_FAST", "0")
+    book.start(FIRST["chapter"])
+    return tmp_path / "figures"
+
+
+def drawn() -> tuple[plt.Figure, pd.DataFrame]:
+    data = pd.DataFrame({"x_mm": np.linspace(0, 1, 7), "y_mm": np.linspace(0, 1, 7) ** 2})
+    fig, axes = plt.subplots()
+    axes.plot(data["x_mm"], data["y_mm"], label="$y = x^2$")
+    axes.fill_between(data["x_mm"], data["y_mm"], alpha=0.2)
+    axes.legend()
+    return fig, data
+
+
+def notebook(path: Path, *cells: str) -> None:
+    content = new_notebook(cells=[new_markdown_cell("# A chapter"), *map(new_code_cell, cells)])
+    content.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(content, path)
+
+
+def answers(value: float, setting: str = "full") -> pd.DataFrame:
+    return pd.DataFrame(
+        [[FIRST["item"], FIRST["quantity"], value, "synthetic", "fig", setting]],
+        columns=["item", "quantity", "rebuilt", "kind", "figure", "settings"],
+    )
+
+
+# --- figures and tables
+
+
+def test_a_figure_saved_twice_is_the_same_byte_for_byte(figures):
+    contents = []
+    for _ in range(2):
+        fig, data = drawn()
+        book.save_figure(fig, "parabola", data, "Scanner frame, mm; synthetic")
+        contents.append({path.name: path.read_bytes() for path in figures.iterdir()})
+    assert set(contents[0]) == {"parabola.svg", "parabola.png", "parabola.csv"}
+    assert contents[0] == contents[1]
+    assert not plt.get_fignums()
+
+
+def test_the_csv_holds_what_is_drawn_and_the_svg_its_caption(figures):
+    fig, data = drawn()
+    book.save_figure(fig, "parabola", data, "Scanner frame, mm; synthetic, seed 4")
+    np.testing.assert_allclose(pd.read_csv(figures / "parabola.csv"), data, rtol=1e-7)
+    assert "Scanner frame, mm; synthetic, seed 4" in (figures / "parabola.svg").read_text()
+
+
+def test_a_scene_is_saved_cropped_as_the_same_three_files(figures):
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=(300, 200))
+    plotter.add_mesh(pyvista.Cube(), color=book.COLOURS["ours"])
+    book.save_scene(plotter, "cube", pd.DataFrame({"side_mm": [1.0]}), "No frame; synthetic")
+    assert {path.name for path in figures.iterdir()} == {"cube.svg", "cube.png", "cube.csv"}
+    height, width = plt.imread(figures / "cube.png").shape[:2]
+    assert 20 < width < 300 and 20 < height <= 200
+
+
+def test_an_empty_scene_is_refused(figures):
+    import pyvista
+
+    with pytest.raises(InputError, match="empty"):
+        book.save_scene(pyvista.Plotter(off_screen=True), "void", pd.DataFrame({"x": [1]}), "Nothing")
+
+
+def test_a_table_keeps_its_digits_in_csv_and_is_rounded_in_markdown(figures):
+    book.save_table(pd.DataFrame({"point": ["P|1"], "x_mm": [1.23456789]}), "points", "Base frame, mm; printed")
+    assert (figures / "points.csv").read_text() == "point,x_mm\nP|1,1.2345679\n"
+    markdown = (figures / "points.md").read_text()
+    assert "| P\\|1 | 1.235 |" in markdown and "Base frame, mm; printed" in markdown
+
+
+@pytest.mark.parametrize(
+    "name, data, caption, complaint",
+    [
+        ("Fig 7", pd.DataFrame({"x": [1]}), "caption", "lower-case"),
+        ("../fig", pd.DataFrame({"x": [1]}), "caption", "lower-case"),
+        ("fig", pd.DataFrame(), "caption", "DataFrame"),
+        ("fig", {"x": [1]}, "caption", "DataFrame"),
+        ("fig", pd.DataFrame({"x": [1]}), " ", "caption"),
+    ],
+)
+def test_unusable_names_data_and_captions_are_refused(figures, name, data, caption, complaint):
+    with pytest.raises(InputError, match=complaint):
+        book.save_table(data, name, caption)
+    assert not figures.exists()
+
+
+def test_no_colour_stands_for_two_things():
+    assert len(set(book.COLOURS.values())) == len(book.COLOURS)
+
+
+# --- answers and verdicts
+
+
+@pytest.mark.parametrize(
+    "rebuilt, paper_value, better, word",
+    [
+        (1.05, 1.0, "", "reproduced"),
+        (0.95, 1.0, "lower", "reproduced"),
+        (0.8, 1.0, "lower", "better"),
+        (1.2, 1.0, "lower", "not reproduced"),
+        (1.2, 1.0, "higher", "better"),
+        (0.8, 1.0, "higher", "not reproduced"),
+        (0.8, 1.0, "", "not reproduced"),
+        (0.05, np.nan, "lower", "reproduced"),
+        (0.2, np.nan, "lower", "not reproduced"),
+        (np.nan, 1.0, "lower", "not yet"),
+    ],
+)
+def test_the_verdict_follows_difference_tolerance_and_direction(rebuilt, paper_value, better, word):
+    assert verdict(rebuilt, paper_value, 0.1, better) == word
+
+
+def test_the_scoreboard_has_one_row_for_every_expected_row_in_its_order():
+    table = judged(answers(1.0))
+    pd.testing.assert_frame_equal(table[["item", "quantity"]], EXPECTED[["item", "quantity"]])
+    assert (table["verdict"] == "not yet").sum() == len(EXPECTED) - 1
+
+
+def test_the_fast_setting_is_judged_by_its_own_tolerance():
+    assert judged(answers(1.0))["tolerance"].iloc[0] == FIRST["tolerance"]
+    assert judged(answers(1.0, "fast"))["tolerance"].iloc[0] == FIRST["tolerance_fast"]
+
+
+def test_an_answer_appears_in_the_verdicts_and_on_the_scoreboard(figures):
+    value = float(FIRST["paper"]) + 0.5 * float(FIRST["tolerance"])
+    book.answer(FIRST["item"], FIRST["quantity"], value + 1000, "synthetic")
+    book.answer(FIRST["item"], FIRST["quantity"], value, "synthetic", "table1")
+    own = book.verdicts()
+    assert set(own["verdict"]) <= {"reproduced", "not yet"} and (own["verdict"] == "reproduced").sum() == 1
+    row = write_scoreboard(figures).iloc[0]
+    assert row["verdict"] == "reproduced" and row["kind"] == "synthetic" and row["figure"] == "table1"
+    assert row["difference"] == pytest.approx(value - FIRST["paper"])
+    assert f"{len(EXPECTED)} numbers: 1 reproduced" in (figures / "scoreboard.md").read_text()
+
+
+def test_an_answer_nobody_expects_is_refused_with_near_names(figures):
+    with pytest.raises(InputError, match=str(FIRST["quantity"])):
+        book.answer(FIRST["item"], FIRST["quantity"] + "x", 1.0, "synthetic")
+
+
+def test_an_answer_for_another_chapter_is_refused(figures):
+    other = EXPECTED[EXPECTED["chapter"] != FIRST["chapter"]].iloc[0]
+    with pytest.raises(InputError, match=f"answered by chapter {other['chapter']}"):
+        book.answer(other["item"], other["quantity"], 1.0, "synthetic")
+
+
+@pytest.mark.parametrize("value, kind", [(np.nan, "synthetic"), (np.inf, "synthetic"), (1.0, "guessed")])
+def test_an_answer_without_a_number_or_with_an_unknown_kind_is_refused(figures, value, kind):
+    with pytest.raises(InputError):
+        book.answer(FIRST["item"], FIRST["quantity"], value, kind)
+
+
+# --- running chapters
+
+
+def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
+    save = (
+        "from grindvision import book\nimport pandas as pd\nbook.start('01')\n"
+        "book.save_table(pd.DataFrame({'x_mm': [1.0]}), 'one', 'Base frame; synthetic')"
+    )
+    notebook(tmp_path / "notebooks" / "01_good.ipynb", save)
+    notebook(tmp_path / "notebooks" / "02_bad.ipynb", save.replace("'one'", "'two'"), "raise ValueError('no rank')")
+    notebook(tmp_path / "notebooks" / "03_dead.ipynb", "import os\nos._exit(3)")
+    before = {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}
+    outcomes = rebuild(
+        notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True
+    )
+
+    assert [outcome.chapter for outcome in outcomes] == ["01_good", "02_bad", "03_dead"]
+    assert outcomes[0].failure == ""
+    assert outcomes[1].failure == "cell 3 failed: ValueError: no rank"
+    assert "cell 2 ended its kernel" in outcomes[2].failure
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert names == {"one.csv", "one.md", "scoreboard.csv", "scoreboard.md"}
+    assert before == {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}
+    executed = nbformat.read(tmp_path / "build" / "executed" / "01_good.ipynb", as_version=4)
+    assert any(cell.get("outputs") for cell in executed.cells)
+
+
+def test_answers_of_a_chapter_that_no_longer_exists_are_forgotten(tmp_path):
+    notebook(tmp_path / "notebooks" / "01_good.ipynb", "1 + 1")
+    (tmp_path / "figures").mkdir()
+    answers(1.0).to_csv(tmp_path / "figures" / f"answers_{FIRST['chapter']}.csv", index=False)
+    assert write_scoreboard(tmp_path / "figures")["verdict"].iloc[0] != "not yet"
+    rebuild(notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True)
+    assert set(pd.read_csv(tmp_path / "figures" / "scoreboard.csv")["verdict"]) == {"not yet"}
+
+
+def test_a_notebook_that_cannot_be_read_is_an_outcome(tmp_path):
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks" / "01_torn.ipynb").write_text('{"cells": [')
+    outcomes = rebuild(
+        notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True
+    )
+    assert "not a readable notebook" in outcomes[0].failure
+
+
+def test_chapters_are_chosen_by_number(tmp_path):
+    for name in ("03_c", "01_a", "02_b"):
+        notebook(tmp_path / f"{name}.ipynb")
+    assert list(chosen([], tmp_path)) == ["01", "02", "03"]
+    assert list(chosen(["3", "01"], tmp_path)) == ["01", "03"]
+    with pytest.raises(InputError, match="there is no chapter '77'"):
+        chosen(["77"], tmp_path)
+    with pytest.raises(FileError, match="chapter 07 is missing"):
+        chosen(["7"], tmp_path)
+    notebook(tmp_path / "01_again.ipynb")
+    with pytest.raises(FileError, match="both chapter 01"):
+        chosen([], tmp_path)
+
+
+# --- the command
+
+
+def command(*words: str, **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "grindvision", *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        timeout=120,
+    )
+
+
+def assert_one_line(answer: subprocess.CompletedProcess, *parts: str) -> None:
+    lines = [line for line in answer.stderr.splitlines() if line.startswith("grindvision")]
+    assert answer.returncode == 2, answer.stderr
+    assert "Traceback" not in answer.stderr and len(lines) == 1
+    assert all(part in lines[0] for part in parts), lines[0]
+
+
+def test_an_unknown_chapter_is_one_line_and_exit_2():
+    assert_one_line(command("book", "--only", "55"), "there is no chapter '55'", "the book has")
+
+
+def test_a_damaged_table_in_data_is_one_line_and_exit_2(tmp_path):
+    shutil.copytree(paper.data_folder(), tmp_path / "data")
+    damaged = tmp_path / "data" / "paper" / "diao2018_table3.csv"
+    damaged.write_text(re.sub(r"-?\d+\.\d+", "12.3.4", damaged.read_text(), count=1))
+    answer = command("book", "--fast", GRINDVISION_DATA=str(tmp_path / "data"))
+    assert_one_line(answer, "diao2018_table3.csv", "row 1, column x_mm", "12.3.4")
+
+
+def test_a_missing_table_in_data_is_one_line_and_exit_2(tmp_path):
+    shutil.copytree(paper.data_folder(), tmp_path / "data")
+    (tmp_path / "data" / "paper" / "expected.csv").unlink()
+    assert_one_line(command("book", "--fast", GRINDVISION_DATA=str(tmp_path / "data")), "expected.csv", "no such file")
+
+
+def test_no_permission_to_write_is_named_before_any_chapter_runs(tmp_path):
+    notebook(tmp_path / "notebooks" / "01_good.ipynb", "open('ran.txt', 'w')")
+    (tmp_path / "figures").write_text("a file where the folder should be")
+    with pytest.raises(FileError, match=r"cannot write .*figures"):
+        rebuild(notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True)
+    assert not list((tmp_path / "build" / "executed").iterdir())
+
+
+@pytest.mark.parametrize("words", [["--help"], ["book", "--help"], ["--version"]])
+def test_the_door_loads_no_heavy_module(words):
+    code = (
+        "import sys, json\nfrom grindvision.cli import main\n"
+        f"try:\n    main({words!r})\nexcept SystemExit:\n    pass\n"
+        "print('\\n' + json.dumps(sorted(sys.modules)))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(answer.stdout.splitlines()[-1]))
+    heavy = {
+        "numpy",
+        "scipy",
+        "pandas",
+        "matplotlib",
+        "pyvista",
+        "vtkmodules",
+        "open3d",
+        "pinocchio",
+        "numba",
+        "sphinx",
+    }
+    assert not loaded & heavy
+
+
+def test_every_command_is_listed_in_the_help(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in cli.COMMANDS)
+
+
+# --- rebuilt against committed
+
+
+@pytest.fixture
+def two_folders(tmp_path) -> tuple[Path, Path]:
+    folders = tmp_path / "rebuilt", tmp_path / "committed"
+    for folder in folders:
+        folder.mkdir()
+        for suffix in ("svg", "png"):
+            (folder / f"fig.{suffix}").write_text("picture")
+        (folder / "fig.csv").write_text("name,x_mm,run_s\na,100.0,1\nb,,2\n")
+    return folders
+
+
+def test_equal_folders_agree_whatever_the_pixels_and_times(two_folders):
+    (two_folders[0] / "fig.png").write_text("other pixels")
+    (two_folders[0] / "fig.csv").write_text("name,x_mm,run_s\na,100.05,7\nb,,9\n")
+    assert disagreements(*two_folders) == []
+
+
+@pytest.mark.parametrize(
+    "content, complaint",
+    [
+        ("name,x_mm,run_s\na,100.2,1\nb,,2\n", "column x_mm: 1 values differ"),
+        ("name,x_mm,run_s\na,100.0,1\nb,0,2\n", "column x_mm: 1 values differ"),
+        ("name,x_mm,run_s\nc,100.0,1\nb,,2\n", "column name"),
+        ("name,x_mm,run_s\na,100.0,1\n", "1 rows"),
+        ("name,y_mm,run_s\na,100.0,1\nb,,2\n", "columns"),
+    ],
+)
+def test_other_values_texts_rows_or_columns_are_told(two_folders, content, complaint):
+    (two_folders[0] / "fig.csv").write_text(content)
+    (line,) = disagreements(*two_folders)
+    assert line.startswith("fig.csv") and complaint in line
+
+
+def test_orphans_and_incomplete_figures_are_told(two_folders):
+    (two_folders[1] / "old.csv").write_text("x\n1\n")
+    (two_folders[0] / "new.md").write_text("table")
+    assert len(lines := disagreements(*two_folders)) == 3
+    assert "old.csv: committed, but no chapter makes it" in lines
+    assert "new.md: a chapter makes it, but it is not committed" in lines
+    assert any(line.startswith("old: has .csv") for line in lines)

@@ -1,0 +1,37 @@
+"""The chapters as they are committed, and the figures that they rebuild from empty."""
+
+from pathlib import Path
+
+import nbformat
+import pytest
+
+from grindvision.book.agreement import disagreements
+from grindvision.book.chapters import chapters, rebuild
+from grindvision.book.places import FIGURES, NOTEBOOKS
+
+COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
+COMMITTED = [path for path in COMMITTED if ".ipynb_checkpoints" not in path.parts]
+
+
+@pytest.mark.parametrize("path", COMMITTED, ids=lambda path: path.stem)
+def test_a_notebook_is_valid_and_carries_no_outputs(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert notebook.metadata.kernelspec.name == "python3"
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert not cell.outputs, f"{path.name} carries outputs: nbstripout {path}"
+            assert cell.execution_count is None, f"{path.name} carries execution counts: nbstripout {path}"
+
+
+@pytest.mark.parametrize("number, path", chapters().items(), ids=str)
+def test_a_chapter_starts_under_its_own_number(number: str, path: Path) -> None:
+    code = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    assert f'book.start("{number}")' in code[0]
+
+
+@pytest.mark.full
+def test_figures_rebuilt_from_empty_agree_with_the_committed_ones(tmp_path: Path) -> None:
+    outcomes = rebuild(build=tmp_path / "build", figures=tmp_path / "figures", report=print)
+    assert [str(outcome) for outcome in outcomes if outcome.failure] == []
+    assert disagreements(tmp_path / "figures", FIGURES) == []
