@@ -17,8 +17,8 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from grindvision import book, cli, paper
 from grindvision.book.agreement import disagreements
-from grindvision.book.chapters import chosen, rebuild
 from grindvision.book.answers import judged, verdict, write_scoreboard
+from grindvision.book.chapters import chosen, rebuild
 from grindvision.errors import FileError, InputError
 
 EXPECTED = paper.expected()

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
 from grindvision.book.answers import write_scoreboard
+from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 

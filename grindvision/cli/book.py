@@ -17,9 +17,9 @@ def run(options: argparse.Namespace) -> int:
     """Run it; returns 1 when a chapter failed."""
     from tqdm import tqdm
 
+    from grindvision.book.answers import scoreboard, summary
     from grindvision.book.chapters import Outcome, chosen, rebuild
     from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
-    from grindvision.book.answers import scoreboard, summary
 
     figures = FAST_FIGURES if options.fast else FIGURES
     total = len(chosen(options.only))
