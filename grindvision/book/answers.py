@@ -1,4 +1,4 @@
-"""Answers of the chapters and the scoreboard: every number of ``expected.csv`` beside the rebuilt one, with difference, tolerance and verdict."""
+"""Answers of the chapters, and the scoreboard that judges them against ``expected.csv``."""
 
 from __future__ import annotations
 
