@@ -35,3 +35,11 @@ class UnreachableError(GrindvisionError):
 
 class SightError(InputError):
     """A scanner's pose shows it nothing, or nothing within its measuring range."""
+
+
+class CollisionError(GrindvisionError):
+    """Arm, tool, work and table would touch, or the work lies where no tool can get."""
+
+
+class SendError(GrindvisionError):
+    """A programme could not be handed over to the robot's controller."""

@@ -41,3 +41,12 @@ def urdf_model(path: str | Path) -> pin.Model:
         return pin.buildModelFromUrdf(str(path))
     except (ValueError, RuntimeError) as error:
         raise FileError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:200]})") from None
+
+
+def in_millimetres(model: pin.Model) -> pin.Model:
+    """Copy of a model in metres (a URDF's) with every joint and frame placement in mm; masses are left as they are."""
+    scaled = model.copy()
+    for placements in (scaled.jointPlacements, (frame.placement for frame in scaled.frames)):
+        for placement in placements:
+            placement.translation = placement.translation * 1000.0
+    return scaled

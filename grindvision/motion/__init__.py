@@ -1,1 +1,30 @@
-"""Path points in, robot programme out."""
+"""Path points in, robot programme out: tool frames, inverse kinematics, clearances, timing, export.
+
+Names are fetched from their modules when first used, so that tool frames and the sender come without Pinocchio.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
+    "follow": ("JointPath", "follow_trajectory", "start_angles"),
+    "plan": ("Motion", "plan_motion"),
+    "programme": ("SUFFIXES", "csv_text", "json_content", "urscript", "write_programme"),
+    "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
+    "sender": ("UR_PORT", "Delivery", "send_urscript"),
+    "timing": ("TimeLaw", "time_law"),
+    "tool": ("Tool", "grinding_spindle", "welding_torch"),
+    "trajectory": ("Trajectory", "tool_trajectory"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_HOME_OF)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME_OF:
+        return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    raise AttributeError(f"module {__name__} has no {name}")

@@ -1,0 +1,120 @@
+"""From a trajectory to a motion that can be run: the arm's branch, the way in and out, clearances and the time law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import CollisionError, InputError, UnreachableError
+from grindvision.motion.clearance import Clearance, Obstacle, measure_clearance, table
+from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
+from grindvision.motion.robot import Robot
+from grindvision.motion.timing import TimeLaw, time_law
+from grindvision.motion.trajectory import Trajectory
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A checked motion of ``robot`` along ``path.trajectory``.
+
+    ``q_approach_rad`` and ``q_retreat_rad`` (n,) hold the tool backed off along its own axis from the first and from
+    the last pose. ``clearance`` covers the approach, every worked pose and the retreat, in this order.
+    """
+
+    robot: Robot
+    path: JointPath
+    q_approach_rad: Floats
+    q_retreat_rad: Floats
+    clearance: Clearance
+    timing: TimeLaw
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The trajectory that is followed."""
+        return self.path.trajectory
+
+    def __str__(self) -> str:
+        return f"{self.robot.name}: {self.path}; {self.clearance}; {self.timing}"
+
+
+def plan_motion(
+    robot: Robot,
+    trajectory: Trajectory,
+    rng: np.random.Generator,
+    *,
+    tool_speed_mm_s: float,
+    obstacles: Sequence[Obstacle] = (),
+    table_top_mm: float = 0.0,
+    backed_off_mm: float = 40.0,
+    least_clearance_mm: float = 2.0,
+    spin_free: bool = False,
+) -> Motion:
+    """Follow the trajectory on one branch of the arm, clear of the table, the ``obstacles`` and itself.
+
+    Every branch that ``start_angles`` finds is followed. They are ranked by their room to the table and the arm
+    itself, in steps of 10 mm, then by how little the joints travel; the first that keeps ``least_clearance_mm`` to
+    everything wins.
+
+    Raises:
+        CollisionError: the groove lies below the table's top, or no branch keeps the clearance.
+        UnreachableError: no branch follows the trajectory; the complaint is that of the first one tried.
+        InputError: a length that is not above zero.
+    """
+    if not backed_off_mm > 0:
+        raise InputError(f"the way in and out is {backed_off_mm:.4g} mm; give a length above 0")
+    _check_above_table(trajectory, table_top_mm)
+    followed: list[tuple[JointPath, Floats]] = []
+    complaints: list[UnreachableError] = []
+    for start in start_angles(robot, trajectory.T_base_tool[0], rng, spin_free=spin_free):
+        try:
+            path = follow_trajectory(robot, trajectory, start, spin_free=spin_free)
+            ends = [_backed_off(robot, path, row, backed_off_mm, spin_free) for row in (0, -1)]
+        except UnreachableError as error:
+            complaints.append(error)
+        else:
+            followed.append((path, np.vstack([ends[0], path.q_rad, ends[1]])))
+    if not followed:
+        raise complaints[0]
+    the_table = table(table_top_mm)
+    followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).least_mm // 10), _travel(one[1])))
+    tightest: Clearance | None = None
+    for path, q in followed:
+        free = measure_clearance(robot, q, [the_table, *obstacles])
+        if free.least_mm >= least_clearance_mm:
+            return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, tool_speed_mm_s))
+        tightest = max(tightest or free, free, key=lambda one: one.least_mm)
+    first, second = tightest.nearest[tightest.tightest]
+    where = min(max(tightest.tightest - 1, 0), len(trajectory.T_base_tool) - 1)
+    raise CollisionError(
+        f"{first} and {second} come within {tightest.least_mm:.1f} mm near way point {where}, even on the best of"
+        f" {len(followed)} branches of {robot.name}; {least_clearance_mm:g} mm is asked for: move or turn the work, or"
+        " tilt the tool"
+    )
+
+
+def _travel(q_rad: Floats) -> float:
+    return float(np.abs(np.diff(q_rad, axis=0)).sum())
+
+
+def _backed_off(robot: Robot, path: JointPath, row: int, length_mm: float, spin_free: bool) -> Floats:
+    """Joint angles (n,) with the tool pulled back along its axis from one worked pose."""
+    pose = path.T_base_tool[row]
+    back = pose.copy()
+    back[:3, 3] -= length_mm * pose[:3, 2]
+    return follow_trajectory(robot, Trajectory(np.stack([pose, back])), path.q_rad[row], spin_free=spin_free).q_rad[1]
+
+
+def _check_above_table(trajectory: Trajectory, table_top_mm: float) -> None:
+    below = table_top_mm - trajectory.positions_mm[:, 2]
+    if (below > 0).any():
+        deepest = int(below.argmax())
+        raise CollisionError(
+            f"the groove lies behind the table: way point {deepest} is {below[deepest]:.1f} mm below its top at z ="
+            f" {table_top_mm:g} mm ({int((below > 0).sum())} of {len(below)} are below it); check the scanner's pose"
+            " or the height of the table"
+        )

@@ -1,0 +1,138 @@
+"""From way points and surface normals to tool frames: z into the work, x along the seam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import check_points, check_rigid, rotation_about
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of the tool along a seam, in the order they are worked.
+
+    ``T_base_tool`` (N, 4, 4), translations in mm: the tool's z axis points out of the tool into the work, its x axis
+    along the seam. ``closed`` says that the last way point leads back to the first. Until ``moved`` says otherwise,
+    "base" is the frame the way points were given in. The array is read-only.
+    """
+
+    T_base_tool: Floats
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        poses = np.array(self.T_base_tool, dtype=float)
+        if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) < 2:
+            raise InputError(f"a trajectory needs poses of shape (N, 4, 4) with N >= 2, got {poses.shape}")
+        for number, pose in enumerate(poses):
+            check_rigid(pose, f"pose of way point {number}")
+        poses.setflags(write=False)
+        object.__setattr__(self, "T_base_tool", poses)
+
+    @property
+    def positions_mm(self) -> Floats:
+        """Way points (N, 3), mm."""
+        return self.T_base_tool[:, :3, 3]
+
+    @property
+    def rpy_rad(self) -> Floats:
+        """Roll, pitch, yaw (N, 3) about the fixed x, y, z axes of the base: ``R = Rz(yaw) Ry(pitch) Rx(roll)``."""
+        return Rotation.from_matrix(self.T_base_tool[:, :3, :3]).as_euler("xyz")
+
+    @property
+    def T_base_tool_worked(self) -> Floats:
+        """The poses as they are driven: (N, 4, 4), or (N + 1, 4, 4) for a closed seam, which ends where it began."""
+        return np.concatenate([self.T_base_tool, self.T_base_tool[:1]]) if self.closed else self.T_base_tool
+
+    @property
+    def arc_mm(self) -> Floats:
+        """Length of the polygon of way points up to each worked pose, (N,) or (N + 1,) when closed, starting at 0."""
+        return _arc(self.T_base_tool_worked[:, :3, 3])
+
+    def moved(self, T_new_base: ArrayLike) -> Trajectory:
+        """Return the same trajectory in another frame, ``T_new_tool = T_new_base @ T_base_tool``."""
+        return replace(self, T_base_tool=check_rigid(T_new_base, "T_new_base") @ self.T_base_tool)
+
+    def spun(self, angle_rad: float) -> Trajectory:
+        """Return the trajectory with every tool frame turned about its own z axis; a round tool works just the same."""
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_about([0, 0, 1], angle_rad)
+        return replace(self, T_base_tool=self.T_base_tool @ turn)
+
+    def __str__(self) -> str:
+        shape = "closed" if self.closed else "open"
+        return f"{shape} trajectory of {len(self.T_base_tool)} way points, {self.arc_mm[-1]:.1f} mm long"
+
+
+def tool_trajectory(
+    positions_mm: ArrayLike,
+    normals: ArrayLike,
+    *,
+    closed: bool = False,
+    work_angle_rad: float = 0.0,
+    travel_angle_rad: float = 0.0,
+) -> Trajectory:
+    """Tool frames at way points (N, 3) in mm with outward surface normals (N, 3), both in one frame, in working order.
+
+    z is opposite to the normal, x is the seam's direction freed from its part along the normal, y completes the right
+    hand: between way points the frame turns only as the seam and the surface turn. ``work_angle_rad`` then tilts the
+    tool about x, ``travel_angle_rad`` about y; above zero the tool points forward along the seam (pushing), below it
+    drags.
+
+    Raises:
+        InputError: shapes differ, NaN, fewer than two way points, an angle of 90 degrees or more.
+        DegenerateError: two way points coincide, a normal has no length, or the seam runs along a normal.
+    """
+    points = check_points(positions_mm, "way points", least=2)
+    outward = check_points(normals, "normals", least=2)
+    if points.shape != outward.shape:
+        raise InputError(f"{len(points)} way points but {len(outward)} normals; give one normal per way point")
+    for name, angle in (("work", work_angle_rad), ("travel", travel_angle_rad)):
+        if not abs(angle) < np.pi / 2:
+            raise InputError(f"the {name} angle is {angle:.4g} rad; it must lie within 1.57 rad (90 degrees)")
+    z = -_unit(outward, "the normal of way point {} has length zero")
+    tangents = _tangents(points, closed)
+    across = np.cross(z, tangents)
+    if (steep := np.linalg.norm(across, axis=1) < 0.1).any():
+        where = int(steep.argmax())
+        raise DegenerateError(
+            f"at way point {where} the seam runs along the surface normal; a normal must stand across the seam"
+        )
+    y = _unit(across, "way point {} has no direction across the seam")
+    frames = np.zeros((len(points), 4, 4))
+    frames[:, :3, 0], frames[:, :3, 1], frames[:, :3, 2] = np.cross(y, z), y, z
+    frames[:, :3, :3] = frames[:, :3, :3] @ (
+        rotation_about([1, 0, 0], work_angle_rad) @ rotation_about([0, 1, 0], travel_angle_rad)
+    )
+    frames[:, :3, 3] = points
+    frames[:, 3, 3] = 1.0
+    return Trajectory(frames, closed)
+
+
+def _tangents(points: Floats, closed: bool) -> Floats:
+    """Unit tangents (N, 3) of the parabola through each way point and its two neighbours."""
+    line = np.concatenate([points[-1:], points, points[:1]]) if closed else points
+    slopes = np.gradient(line, _arc(line), axis=0, edge_order=min(2, len(line) - 1))
+    return _unit(slopes[1:-1] if closed else slopes, "the seam turns back on itself at way point {}")
+
+
+def _arc(line: Floats) -> Floats:
+    """Length (N,) of the polygon through points (N, 3) up to each of them."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    if (same := steps < 1e-6).any():
+        x, y, z = line[int(same.argmax())]
+        raise DegenerateError(f"two way points coincide at ({x:.3f}, {y:.3f}, {z:.3f}) mm; give each place once")
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _unit(vectors: Floats, complaint: str) -> Floats:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if (short := lengths[:, 0] < 1e-9).any():
+        raise DegenerateError(complaint.format(int(short.argmax())))
+    return vectors / lengths
