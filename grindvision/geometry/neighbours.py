@@ -119,7 +119,9 @@ def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: in
     The radius may not exceed the grid's cell size. A query that is itself a grid point is its own first neighbour.
     """
     if radius_mm > grid.size_mm * (1 + 1e-12):
-        raise InputError(f"radius {radius_mm} mm exceeds the cell size {grid.size_mm} mm; build the cells as large as it")
+        raise InputError(
+            f"radius {radius_mm} mm exceeds the cell size {grid.size_mm} mm; build the cells as large as it"
+        )
     queries = np.ascontiguousarray(queries, dtype=float)
     starts, indices, squared = _within_all(
         queries, float(radius_mm), -1 if most is None else int(most), grid.points, grid.order, grid.starts,

@@ -94,7 +94,15 @@ def icp_points(
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(moved), 3, 3)), -skew(moved - centre)], axis=2)
     information = np.einsum("nij,nik->jk", jacobian, jacobian)
     return _result(
-        transform, np.sqrt(errors[-1]), used.mean(), errors, converged, centre, information, 3 * used.sum(), np.sqrt(errors[-1] / 3)
+        transform,
+        np.sqrt(errors[-1]),
+        used.mean(),
+        errors,
+        converged,
+        centre,
+        information,
+        3 * used.sum(),
+        np.sqrt(errors[-1] / 3),
     )
 
 
@@ -184,7 +192,15 @@ def _result(transform, rms, overlap, errors, converged, centre, information, num
     else:
         covariance = np.full((6, 6), np.nan)
     return FineRegistration(
-        transform, float(rms), float(overlap), len(errors), bool(converged), centre, information, covariance, np.array(errors)
+        transform,
+        float(rms),
+        float(overlap),
+        len(errors),
+        bool(converged),
+        centre,
+        information,
+        covariance,
+        np.array(errors),
     )
 
 
@@ -208,9 +224,24 @@ def _plane_icp(
         pairs = 0
         centre[:] = 0.0
         for p in range(count):
-            x = rotation[0, 0] * source[p, 0] + rotation[0, 1] * source[p, 1] + rotation[0, 2] * source[p, 2] + current[0, 3]
-            y = rotation[1, 0] * source[p, 0] + rotation[1, 1] * source[p, 1] + rotation[1, 2] * source[p, 2] + current[1, 3]
-            z = rotation[2, 0] * source[p, 0] + rotation[2, 1] * source[p, 1] + rotation[2, 2] * source[p, 2] + current[2, 3]
+            x = (
+                rotation[0, 0] * source[p, 0]
+                + rotation[0, 1] * source[p, 1]
+                + rotation[0, 2] * source[p, 2]
+                + current[0, 3]
+            )
+            y = (
+                rotation[1, 0] * source[p, 0]
+                + rotation[1, 1] * source[p, 1]
+                + rotation[1, 2] * source[p, 2]
+                + current[1, 3]
+            )
+            z = (
+                rotation[2, 0] * source[p, 0]
+                + rotation[2, 1] * source[p, 1]
+                + rotation[2, 2] * source[p, 2]
+                + current[2, 3]
+            )
             moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
             q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
             match[p] = -1
@@ -271,9 +302,21 @@ def _plane_icp(
         if turn > 0:
             ax, ay, az = step[3] / turn, step[4] / turn, step[5] / turn
             c, s = np.cos(turn), np.sin(turn)
-            spin[0, 0], spin[0, 1], spin[0, 2] = c + ax * ax * (1 - c), ax * ay * (1 - c) - az * s, ax * az * (1 - c) + ay * s
-            spin[1, 0], spin[1, 1], spin[1, 2] = ay * ax * (1 - c) + az * s, c + ay * ay * (1 - c), ay * az * (1 - c) - ax * s
-            spin[2, 0], spin[2, 1], spin[2, 2] = az * ax * (1 - c) - ay * s, az * ay * (1 - c) + ax * s, c + az * az * (1 - c)
+            spin[0, 0], spin[0, 1], spin[0, 2] = (
+                c + ax * ax * (1 - c),
+                ax * ay * (1 - c) - az * s,
+                ax * az * (1 - c) + ay * s,
+            )
+            spin[1, 0], spin[1, 1], spin[1, 2] = (
+                ay * ax * (1 - c) + az * s,
+                c + ay * ay * (1 - c),
+                ay * az * (1 - c) - ax * s,
+            )
+            spin[2, 0], spin[2, 1], spin[2, 2] = (
+                az * ax * (1 - c) - ay * s,
+                az * ay * (1 - c) + ax * s,
+                c + az * az * (1 - c),
+            )
         shift = spin @ (current[:3, 3] - centre) + centre + step[:3]
         current[:3, :3] = spin @ np.ascontiguousarray(current[:3, :3])
         current[:3, 3] = shift

@@ -70,7 +70,9 @@ def sac_ia_paper(
     """
     if len(source) < 3 or len(target) < similar:
         raise DegenerateError(f"{len(source)} and {len(target)} keypoints are too few; take smaller voxels")
-    d_min = 0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0))) if least_distance_mm is None else least_distance_mm
+    d_min = (
+        0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0))) if least_distance_mm is None else least_distance_mm
+    )
     t_e = 5 * target.spacing_mm if threshold_mm is None else float(threshold_mm)
     tree = cKDTree(target.points)
     alike = most_similar(source.features, target.features, similar)
@@ -158,7 +160,9 @@ def propose_poses(
     poses = _poses_of_pairs(
         source.points[s], source.normals[s], target.points[t], target.normals[t], first[:4000], second[:4000]
     )
-    votes = _votes(poses, source.points[s], source.normals[s], target.points[t], target.normals[t], 3 * spacing, similar)
+    votes = _votes(
+        poses, source.points[s], source.normals[s], target.points[t], target.normals[t], 3 * spacing, similar
+    )
     order = np.argsort(-votes, kind="stable")
     return distinct_poses(poses[order], votes[order], source.points.mean(axis=0), 0.03 * extent, np.radians(8), kept)
 
@@ -261,9 +265,13 @@ def _agreeing_pairs(source, source_normals, target, target_normals, draws, least
         between_a, between_b = _dot(source_normals[i], source_normals[j]), _dot(target_normals[i], target_normals[j])
         if not _angles_agree(between_a, between_b, cosine, sine):
             continue
-        if not _angles_agree(_dot(source_normals[i], a) / length_a, _dot(target_normals[i], b) / length_b, cosine, sine):
+        if not _angles_agree(
+            _dot(source_normals[i], a) / length_a, _dot(target_normals[i], b) / length_b, cosine, sine
+        ):
             continue
-        if not _angles_agree(_dot(source_normals[j], a) / length_a, _dot(target_normals[j], b) / length_b, cosine, sine):
+        if not _angles_agree(
+            _dot(source_normals[j], a) / length_a, _dot(target_normals[j], b) / length_b, cosine, sine
+        ):
             continue
         first[found], second[found] = i, j
         found += 1
@@ -309,7 +317,9 @@ def _poses_of_pairs(source, source_normals, target, target_normals, first, secon
         pose = poses[found]
         for a in range(3):
             for b in range(3):
-                pose[a, b] = frame_t[a, 0] * frame_s[b, 0] + frame_t[a, 1] * frame_s[b, 1] + frame_t[a, 2] * frame_s[b, 2]
+                pose[a, b] = (
+                    frame_t[a, 0] * frame_s[b, 0] + frame_t[a, 1] * frame_s[b, 1] + frame_t[a, 2] * frame_s[b, 2]
+                )
         for a in range(3):
             pose[a, 3] = 0.5 * (target[i, a] + target[j, a])
             for b in range(3):

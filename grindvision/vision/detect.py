@@ -1,0 +1,149 @@
+"""Detection of what has to be ground away, stage by stage as in the paper's flow chart (Figure 2)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import check_points
+from grindvision.vision.bead_path import BeadPath, trace_bead
+from grindvision.vision.difference import Difference, find_difference
+from grindvision.vision.icp import FineRegistration, icp_planes
+from grindvision.vision.sac_ia import propose_poses
+from grindvision.vision.scan import Scan, prepare_pair, reversed_scan
+from grindvision.vision.verification import VerifiedPose, choose_pose
+
+Floats = NDArray[np.float64]
+
+FEWEST_POINTS = 500
+
+
+@dataclass(frozen=True)
+class DetectOptions:
+    """Settings of ``detect``: path ``points`` per bead, ``seed`` of the random draws, the scanners' places if known."""
+
+    points: int = 6
+    seed: int = 0
+    viewpoint_sample_mm: ArrayLike | None = None
+    viewpoint_test_mm: ArrayLike | None = None
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Result of ``detect``; everything but ``T_sample_test`` is in the frame of the test scan.
+
+    ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out, ``beads`` its
+    paths, largest first; ``timings_s`` the stages' times.
+    """
+
+    sample: Scan
+    test: Scan
+    coarse: VerifiedPose
+    registration: FineRegistration
+    difference: Difference
+    beads: tuple[BeadPath, ...]
+    timings_s: dict[str, float] = field(compare=False)
+
+    @property
+    def T_sample_test(self) -> Floats:
+        """Registration (4, 4): T_sample_test @ p_test = p_sample."""
+        return self.registration.T_target_source
+
+    @property
+    def confidence(self) -> float:
+        """How sure the registration is, 0..1."""
+        return self.coarse.confidence
+
+    @property
+    def path_points(self) -> Floats:
+        """Path points (n, 3) of all beads, one bead after the other."""
+        return np.concatenate([bead.points for bead in self.beads] or [np.empty((0, 3))])
+
+    @property
+    def path_normals(self) -> Floats:
+        """Unit normals (n, 3) at the path points."""
+        return np.concatenate([bead.normals for bead in self.beads] or [np.empty((0, 3))])
+
+    def __str__(self) -> str:
+        if not self.beads:
+            return f"nothing to grind above the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
+        return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
+
+
+def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = None) -> Detection:
+    """Compare a test scan (M, 3) with the scan of a good part (N, 3), both in mm and in their own scanner frames.
+
+    The stages: voxels and surfels, normals and FPFH, first alignment (SAC-IA), verification, ICP, difference, paths.
+
+    Raises:
+        InputError: NaN points, or numbers that are no points. UnitError: sizes that look like metres.
+        DegenerateError: too few points; the scans do not fit, do not overlap enough, or leave a motion free; another
+            part; a bead that branches.
+    """
+    options = DetectOptions() if options is None else options
+    if options.points < 1:
+        raise InputError(f"{options.points} path points asked for; at least 1 is needed")
+    clock = _Clock()
+    sample = check_points(sample, "sample points", FEWEST_POINTS)
+    test = check_points(test, "test points", FEWEST_POINTS)
+    rng = np.random.default_rng(options.seed)
+    good, seen = prepare_pair(sample, test, (options.viewpoint_sample_mm, options.viewpoint_test_mm))
+    clock.lap("features")
+    seen, poses = propose(good, seen, rng)
+    clock.lap("coarse")
+    coarse = choose_pose(seen, good, poses, rng)
+    clock.lap("verification")
+    registration = refine(good, seen, coarse, rng)
+    clock.lap("icp")
+    difference = find_difference(good, seen, registration.T_target_source)
+    clock.lap("difference")
+    beads = tuple(trace_bead(cluster, options.points) for cluster in difference.clusters)
+    clock.lap("path")
+    return Detection(good, seen, coarse, registration, difference, beads, clock.laps_s)
+
+
+def propose(sample: Scan, test: Scan, rng: np.random.Generator) -> tuple[Scan, Floats]:
+    """Likely poses T_sample_test (K, 4, 4); where no viewpoint tells the test's outside, the side that fits better.
+
+    Returns the test scan, reversed if that fits better, and the poses.
+    """
+    poses, votes = propose_poses(test.keypoints, sample.keypoints, rng)
+    if sample.viewpoint_mm is None or test.viewpoint_mm is None:
+        other = reversed_scan(test)
+        try:
+            other_poses, other_votes = propose_poses(other.keypoints, sample.keypoints, rng)
+        except DegenerateError:
+            return test, poses
+        if other_votes[0] > votes[0]:
+            return other, other_poses
+    return test, poses
+
+
+def refine(
+    sample: Scan, test: Scan, coarse: VerifiedPose, rng: np.random.Generator, points: int = 12_000
+) -> FineRegistration:
+    """Point-to-plane ICP on fine surfels, from the verified pose."""
+    chosen = rng.permutation(len(test.surfels))[:points]
+    size = sample.surfels.grid.size_mm
+    return icp_planes(
+        test.surfels.points[chosen],
+        test.surfels.normals[chosen],
+        sample.surfels,
+        coarse.registration.T_target_source,
+        2 * size,
+    )
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.laps_s: dict[str, float] = {}
+        self.last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps_s[name] = now - self.last
+        self.last = now

@@ -1,0 +1,323 @@
+"""What stands out of the good part (section 3.5): a signed difference with a level of detection, in clusters.
+
+The paper keeps test points farther than a threshold from their nearest sample point: ``difference_paper``. Ours measures
+along the sample's normal, against its surface and not its points, and asks whether a difference is more than noise: the
+level of detection of M3C2 (Lague 2013), 1.96 standard deviations of the two surfaces' noise, of their roughness where
+planes fit badly, and of what registration and scanner distortion leave over the whole field. Surface that one of the two
+scans does not show (shadows, outline) is not a difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import check_points, move_points
+from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest_one, within_radius
+from grindvision.vision.scan import Scan, seen_from, surface_in_frame
+from grindvision.vision.surfels import Surfels
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+MOST_CHANGED = 0.4
+"""Share of the common surface that may differ; above, the test scan shows another part."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """One connected piece of difference, in the frame of the test scan.
+
+    ``points`` (N, 3) of the test scan, ``heights_mm`` (N,) above the good surface, whose unit ``normals`` (N, 3) are
+    given beside; ``spacing_mm``: the cell size at which it was found; ``area_mm2``, ``volume_mm3``, ``peak_mm``.
+    """
+
+    points: Floats
+    heights_mm: Floats
+    normals: Floats
+    spacing_mm: float
+    area_mm2: float
+    volume_mm3: float
+    peak_mm: float
+
+    def __str__(self) -> str:
+        return f"{len(self.points):,} points, {self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Result of the comparison, frame of the test scan.
+
+    ``clusters``, largest volume first; ``surfels`` (M, 3) of the test scan with ``signed_mm`` (M,) along the normal,
+    positive where the test part stands out, NaN where the sample shows nothing to compare with; ``level_mm`` (M,) level
+    of detection; ``level_of_detection_mm`` its median.
+    """
+
+    clusters: tuple[Cluster, ...]
+    surfels: Floats
+    signed_mm: Floats
+    level_mm: Floats
+    level_of_detection_mm: float
+
+    @property
+    def points(self) -> Floats:
+        """Points (N, 3) of all clusters."""
+        return np.concatenate([cluster.points for cluster in self.clusters] or [np.empty((0, 3))])
+
+    def __str__(self) -> str:
+        return f"{len(self.clusters)} pieces above the level of detection of {self.level_of_detection_mm:.2f} mm"
+
+
+NearestSearch = Callable[[Floats, Floats], Floats]
+"""Distances (M,) of queries (M, 3) from their nearest points of a cloud (N, 3): search(cloud, queries)."""
+
+
+def kd_tree_distances(cloud: Floats, queries: Floats) -> Floats:
+    """SciPy's kd-tree as a ``NearestSearch``."""
+    return cKDTree(cloud).query(queries)[0]
+
+
+def difference_paper(
+    sample: ArrayLike,
+    test_in_sample: ArrayLike,
+    threshold_mm: float,
+    squared: bool = True,
+    search: NearestSearch = kd_tree_distances,
+) -> Flags:
+    """Test points (N,) that belong to the difference cloud as the paper finds it.
+
+    Args:
+        test_in_sample: test points (N, 3) in the frame of the sample.
+        threshold_mm: a length. With ``squared``, as in PCL, it is compared with the squared distance: 0.5 then means
+            0.71 mm.
+    """
+    sample, test = check_points(sample, "sample"), check_points(test_in_sample, "test points")
+    if not threshold_mm > 0:
+        raise InputError(f"the threshold is {threshold_mm} mm; it must be above zero")
+    distances = search(sample, test)
+    return distances**2 > threshold_mm if squared else distances > threshold_mm
+
+
+def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_surfels: int = 8) -> Difference:
+    """Where the test part stands out of the sample by more than the level of detection.
+
+    Args:
+        T_sample_test: the registration.
+        least_surfels: connected surfels a piece must have.
+
+    Raises:
+        DegenerateError: more than ``MOST_CHANGED`` of the common surface differs.
+    """
+    transform = np.asarray(T_sample_test, dtype=float)
+    back = np.linalg.inv(transform)
+    good = surface_in_frame(sample.surfels, back)
+    surfels = test.surfels
+    size = good.grid.size_mm
+    signed, normals, variance = heights_above(good, surfels.points, 2 * size)
+    far = np.isnan(signed)
+    if far.any():
+        signed[far], normals[far] = _far_heights(sample, back, surfels.points[far], size)
+    excess = np.sqrt(np.maximum(surfels.roughness_mm**2 - surfels.noise_mm**2, 0))
+    variance = variance + surfels.noise_mm**2 / surfels.counts + (0.5 * excess) ** 2
+    shown = ~np.isnan(signed)
+    if shown.sum() < 10:
+        raise DegenerateError("after registration the scans share no surface; scan the part from nearer views")
+    spread = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
+    field = max(spread**2 - np.median(variance[shown]), 0.0)
+    level = 1.96 * np.sqrt(variance + field)
+    changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * spread)
+    if changed.sum() > MOST_CHANGED * shown.sum():
+        raise DegenerateError(
+            f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
+        )
+    suspicious = (surfels.normals * normals).sum(axis=1) < 0.6
+    candidates = shown & (np.nan_to_num(signed) > level)
+    candidates &= ~suspicious | _in_front(good, seen_from(sample, back), surfels.points, size)
+    clusters = _clusters(test, good, candidates, signed, level, normals, least_surfels)
+    return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
+
+
+def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Floats, Floats, Floats]:
+    """Signed heights (N,) of points (N, 3) above a surface of surfels, its normals (N, 3) there, and the variance (N,).
+
+    The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
+    where no surfel lies within ``most_mm`` or the point is beside the surface.
+    """
+    grid = good.grid
+    return _blended(
+        np.ascontiguousarray(points, dtype=float), float(most_mm), good.normals, good.counts.astype(float),
+        good.noise_mm, good.roughness_mm, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
+        grid.origin_mm, 1.0 / grid.size_mm,
+    )  # fmt: skip
+
+
+def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
+    """Heights over the sample's coarse surfels for points more than some surfels away from it; NaN beside it."""
+    places = move_points(T_test_sample, sample.voxels.points)
+    normals = sample.voxels.normals @ T_test_sample[:3, :3].T
+    voxel = sample.voxels.grid.size_mm
+    distances, at = cKDTree(places).query(points, distance_upper_bound=8 * voxel)
+    found = np.isfinite(distances)
+    at[~found] = 0
+    along = ((points - places[at]) * normals[at]).sum(axis=1)
+    beside = np.sqrt(np.maximum(distances**2 - along**2, 0, where=found, out=np.zeros(len(points))))
+    seen = found & (beside < 1.2 * voxel) & (np.abs(along) > size)
+    return np.where(seen, along, np.nan), normals[at]
+
+
+def _in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: float) -> Flags:
+    """Points that the sample's scanner would have seen in front of what it saw: new material, not an unseen wall."""
+    if viewpoint is None:
+        return np.zeros(len(points), dtype=bool)
+    middle = good.points.mean(axis=0) - viewpoint
+    distance = float(np.linalg.norm(middle))
+    ahead = middle / distance
+    across = np.linalg.svd(ahead[None])[2][1:]
+    pixel = 1.5 * size / distance
+
+    def project(places: Floats) -> tuple[Integers, Floats]:
+        rays = places - viewpoint
+        depth = rays @ ahead
+        return np.round(rays @ across.T / np.maximum(depth, 1e-9)[:, None] / pixel).astype(np.int64), depth
+
+    pixels, depths = project(good.points)
+    low, high = pixels.min(axis=0) - 2, pixels.max(axis=0) + 3
+    nearest_depth = np.full(tuple(high - low), np.inf)
+    np.minimum.at(nearest_depth, tuple((pixels - low).T), depths)
+    asked, asked_depths = project(points)
+    inside = ((asked > low) & (asked < high - 1)).all(axis=1)
+    spot = np.where(inside[:, None], asked - low, 1)
+    window = np.full(len(points), np.inf)
+    for i in (-1, 0, 1):
+        for j in (-1, 0, 1):
+            np.minimum(window, nearest_depth[spot[:, 0] + i, spot[:, 1] + j], out=window)
+    return inside & np.isfinite(window) & (asked_depths < window)
+
+
+def _clusters(
+    test: Scan, good: Surfels, candidates: Flags, signed: Floats, level: Floats, normals: Floats, least: int
+) -> tuple[Cluster, ...]:
+    chosen = np.flatnonzero(candidates)
+    if len(chosen) < least:
+        return ()
+    size = good.grid.size_mm
+    places = test.surfels.points[chosen]
+    around = within_radius(build_cells(places, 2 * size), places, 2 * size)
+    rows = np.repeat(np.arange(len(chosen)), np.diff(around.starts))
+    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, around.indices)), shape=(len(chosen),) * 2)
+    number, labels = connected_components(graph, directed=False)
+    strong = np.bincount(labels, signed[chosen] > 2 * level[chosen], number)
+    pieces = []
+    volumes = np.bincount(labels, signed[chosen], number)
+    for label in np.argsort(-volumes, kind="stable"):
+        if strong[label] < least or volumes[label] < 0.05 * volumes.max():
+            continue
+        pieces.append(_piece(test, good, chosen[labels == label], signed, normals))
+    return tuple(piece for piece in pieces if piece is not None)
+
+
+def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals: Floats) -> Cluster | None:
+    """The scan's own points in the cells of a piece, with their heights."""
+    grid = test.surfels.grid
+    flags = np.zeros(len(test.surfels), dtype=bool)
+    flags[members] = True
+    points = test.points[
+        _points_in_cells(test.points, flags, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm)
+    ]
+    size = good.grid.size_mm
+    heights, up, _ = heights_above(good, points, 2 * size)
+    high = np.isnan(heights)
+    if high.any():
+        _, at = cKDTree(test.surfels.points[members]).query(points[high])
+        owner = members[at]
+        up[high] = normals[owner]
+        heights[high] = signed[owner] + ((points[high] - test.surfels.points[owner]) * normals[owner]).sum(axis=1)
+    standing = heights > 0
+    if standing.sum() < 3:
+        return None
+    area = len(members) * size**2 / 1.5
+    peak = float(np.quantile(heights[standing], 0.98))
+    volume = area * float(np.mean(signed[members]))
+    return Cluster(points[standing], heights[standing], up[standing], size, area, volume, peak)
+
+
+@njit(cache=True, nogil=True)
+def _points_in_cells(points, flags, table_keys, table_cells, origin, per_mm):
+    found = np.empty(len(points), dtype=np.int64)
+    count = 0
+    for p in range(len(points)):
+        i = int((points[p, 0] - origin[0]) * per_mm)
+        j = int((points[p, 1] - origin[1]) * per_mm)
+        k = int((points[p, 2] - origin[2]) * per_mm)
+        if flags[table_cells[find_slot(table_keys, cell_key(i, j, k))]]:
+            found[count] = p
+            count += 1
+    return found[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _blended(
+    queries, most, normals, counts, noise, roughness, points, order, starts, table_keys, table_cells, origin, per_mm
+):  # fmt: skip
+    number = len(queries)
+    heights, variances = np.full(number, np.nan), np.zeros(number)
+    blended = np.zeros((number, 3))
+    size = 1.0 / per_mm
+    spread = 2 * (0.9 * size) ** 2
+    for p in range(number):
+        x, y, z = queries[p, 0], queries[p, 1], queries[p, 2]
+        q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+        if q < 0:
+            continue
+        n = normals[q]
+        along = n[0] * (x - points[q, 0]) + n[1] * (y - points[q, 1]) + n[2] * (z - points[q, 2])
+        if squared - along * along > (1.2 * size) ** 2:
+            continue
+        # foot of the point on the nearest surfel's plane, around which the planes are blended
+        fx, fy, fz = x - along * n[0], y - along * n[1], z - along * n[2]
+        i0, j0, k0 = int((fx - origin[0]) * per_mm), int((fy - origin[1]) * per_mm), int((fz - origin[2]) * per_mm)
+        total = height = variance = 0.0
+        ax = ay = az = 0.0
+        for i in range(i0 - 1, i0 + 2):
+            for j in range(j0 - 1, j0 + 2):
+                for k in range(k0 - 1, k0 + 2):
+                    if i < 0 or j < 0 or k < 0:
+                        continue
+                    slot = find_slot(table_keys, cell_key(i, j, k))
+                    if table_keys[slot] < 0:
+                        continue
+                    cell = table_cells[slot]
+                    for at in range(starts[cell], starts[cell + 1]):
+                        c = order[at]
+                        m = normals[c]
+                        if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < 0.8:
+                            continue
+                        dx, dy, dz = fx - points[c, 0], fy - points[c, 1], fz - points[c, 2]
+                        up = m[0] * dx + m[1] * dy + m[2] * dz
+                        lateral = dx * dx + dy * dy + dz * dz - up * up
+                        weight = counts[c] * np.exp(-lateral / spread)
+                        total += weight
+                        height += weight * (
+                            m[0] * (x - points[c, 0]) + m[1] * (y - points[c, 1]) + m[2] * (z - points[c, 2])
+                        )
+                        ax += weight * m[0]
+                        ay += weight * m[1]
+                        az += weight * m[2]
+                        excess = max(roughness[c] ** 2 - noise[c] ** 2, 0.0)
+                        variance += weight * (noise[c] ** 2 * weight / max(counts[c], 1.0) + 0.25 * excess * weight)
+        if total == 0.0:
+            continue
+        heights[p] = height / total
+        variances[p] = variance / (total * total)
+        length = np.sqrt(ax * ax + ay * ay + az * az)
+        blended[p, 0], blended[p, 1], blended[p, 2] = ax / length, ay / length, az / length
+    return heights, blended, variances

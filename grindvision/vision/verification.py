@@ -1,0 +1,247 @@
+"""Which of several poses is the right one, how sure that is, and which motion is free when it cannot be known.
+
+Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it agrees
+with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on purpose:
+the other proposals, the turns of a box about the scan's own axes, and slides along the motions the surface resists
+least. A rival that fits as well as the best means that the scans do not determine the pose; the answer is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from grindvision.errors import DegenerateError
+from grindvision.geometry import angle_between, inverse, move_points, rigid, small_motion, turn_vectors
+from grindvision.geometry.neighbours import nearest
+from grindvision.vision.icp import FineRegistration, icp_planes
+from grindvision.vision.sac_ia import distinct_poses
+from grindvision.vision.scan import Scan
+from grindvision.vision.surfels import Surfels
+
+Floats = NDArray[np.float64]
+
+LEAST_MARGIN = 0.03
+"""A rival must agree with the target on at least this share of the source less than the best pose does."""
+
+SURE_MARGIN = 0.15
+"""Margin at which the confidence reaches 1."""
+
+LEAST_AGREEMENT = 0.55
+"""Least share of the overlapping surface that must agree; below, the scans show different surfaces."""
+
+LEAST_OVERLAP = 0.2
+"""Least share of the source that must lie over the target's surface."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What a pose says about the source's surfels, as shares of all: ``agreeing``, ``contradicting``; the rest lies
+    where the target shows nothing."""
+
+    agreeing: float
+    contradicting: float
+
+    @property
+    def overlap(self) -> float:
+        """Share of the source over the target's surface."""
+        return self.agreeing + self.contradicting
+
+    @property
+    def share(self) -> float:
+        """Agreeing share of the overlap."""
+        return self.agreeing / self.overlap if self.overlap > 0 else 0.0
+
+    @property
+    def score(self) -> float:
+        """Agreeing less contradicting share; the best pose has the largest."""
+        return self.agreeing - self.contradicting
+
+    def __str__(self) -> str:
+        return f"overlap {self.overlap:.0%}, of it {self.share:.0%} in agreement"
+
+
+@dataclass(frozen=True)
+class VerifiedPose:
+    """The pose that was chosen: its refinement, its ``agreement``, and ``confidence`` 0..1 from the best rival's."""
+
+    registration: FineRegistration
+    agreement: Agreement
+    rival: Agreement
+    confidence: float
+
+    def __str__(self) -> str:
+        return f"{self.agreement}; confidence {self.confidence:.2f}"
+
+
+def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float) -> Agreement:
+    """Judge a pose on source points (N, 3) with normals (N, 3): agreement means a distance along the target's normal of
+    at most ``within_mm`` and normals less than 45 degrees apart."""
+    indices, distances = nearest(target.grid, move_points(T_target_source, points), 4 * target.grid.size_mm)
+    found = indices >= 0
+    at = indices[found]
+    moved = move_points(T_target_source, points[found])
+    along = ((moved - target.points[at]) * target.normals[at]).sum(axis=1)
+    beside = np.sqrt(np.maximum(distances[found] ** 2 - along**2, 0)) > 1.5 * target.grid.size_mm
+    facing = (turn_vectors(T_target_source, normals[found]) * target.normals[at]).sum(axis=1) > 0.7
+    good = (np.abs(along) <= within_mm) & facing & ~beside
+    return Agreement(float(good.sum() / len(points)), float((~good & ~beside).sum() / len(points)))
+
+
+def choose_pose(
+    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 4, sample: int = 1500
+) -> VerifiedPose:
+    """Refine the first ``tried`` of ``poses`` (K, 4, 4), take the best, and make sure that no rival is as good.
+
+    Args:
+        source: the scan to be moved.
+        target: the scan it is to meet.
+        poses: T_target_source, likeliest first.
+        sample: surfels of the source used.
+
+    Raises:
+        DegenerateError: no pose brings the scans together; the surfaces contradict each other; or a rival fits as well
+            (the message names the motion that is free).
+    """
+    chosen = rng.permutation(len(source.surfels))[:sample]
+    judge = _Judge(
+        source.surfels.points[chosen],
+        source.surfels.normals[chosen],
+        target,
+        _tolerance(source.surfels, target.surfels),
+    )
+    candidates = judge.refined_all(poses[:tried])
+    if not candidates:
+        raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
+    candidates.sort(key=lambda candidate: -candidate[1].score)
+    best, verdict = candidates[0]
+    if verdict.overlap < LEAST_OVERLAP or verdict.share < LEAST_AGREEMENT:
+        raise DegenerateError(
+            f"the two scans do not fit: at the best pose {verdict.overlap:.0%} overlap and {verdict.share:.0%} of that agrees within"
+            f" {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed); are they scans of the same part, from nearby views?"
+        )
+    judge.refuse_free_motions(best, verdict)
+    rivals = candidates[1:] + judge.turned(best)
+    rival = max(
+        (v for other, v in rivals if judge.differ(other.T_target_source, best.T_target_source)),
+        key=lambda v: v.score,
+        default=Agreement(0.0, 0.0),
+    )
+    margin = verdict.score - max(rival.score, 0.0)
+    if margin < LEAST_MARGIN:
+        other = next(other for other, v in rivals if v is rival)
+        raise DegenerateError(
+            f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as well"
+            f" ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows what breaks the symmetry"
+        )
+    return VerifiedPose(best, verdict, rival, float(np.clip(margin / SURE_MARGIN, 0, 1)) * verdict.share)
+
+
+class _Judge:
+    """Refines and judges poses of one sample of source surfels on one target."""
+
+    def __init__(self, points: Floats, normals: Floats, target: Scan, within_mm: float) -> None:
+        self.points, self.normals, self.within_mm = points, normals, within_mm
+        self.target, self.coarse_target = target.surfels, target.voxels
+        self.centre = points.mean(axis=0)
+        self.extent = float(np.sqrt(((points - self.centre) ** 2).sum(axis=1).mean()))
+
+    def refined(self, pose: Floats) -> tuple[FineRegistration, Agreement] | None:
+        """Coarse-to-fine ICP from ``pose`` and its agreement; None when the scans do not meet there."""
+        try:
+            size = self.target.grid.size_mm
+            found = icp_planes(self.points, self.normals, self.target, pose, 6 * size, self.within_mm, iterations=12)
+            found = icp_planes(
+                self.points,
+                self.normals,
+                self.target,
+                found.T_target_source,
+                3 * size,
+                self.within_mm / 3,
+                iterations=8,
+            )
+        except DegenerateError:
+            return None
+        return found, agreement(self.points, self.normals, self.target, found.T_target_source, self.within_mm)
+
+    def refined_all(self, poses: Iterable[Floats]) -> list[tuple[FineRegistration, Agreement]]:
+        """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""
+        with ThreadPoolExecutor(2) as pool:
+            return [found for found in pool.map(self.refined, poses) if found]
+
+    def differ(self, pose: Floats, other: Floats) -> bool:
+        """Whether two poses are apart by more than 2 % of the extent or 3 degrees."""
+        shift = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
+        return bool(shift > 0.04 * self.extent or angle_between(pose, other) > np.radians(3))
+
+    def turned(self, best: FineRegistration) -> list[tuple[FineRegistration, Agreement]]:
+        """The best few of the 23 turns of a box about the source's principal axes, refined."""
+        _, axes = np.linalg.eigh(np.cov(self.points.T))
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        turns = Rotation.create_group("O").as_matrix()[1:]
+        poses = np.stack(
+            [
+                best.T_target_source
+                @ rigid(None, self.centre)
+                @ rigid(axes @ turn @ axes.T)
+                @ rigid(None, -self.centre)
+                for turn in turns
+                if np.trace(turn) < 2.9
+            ]
+        )
+        rough = np.array(
+            [
+                agreement(self.points[:400], self.normals[:400], self.target, pose, 6 * self.within_mm).agreeing
+                for pose in poses
+            ]
+        )
+        order = np.argsort(-rough, kind="stable")
+        poses, _ = distinct_poses(poses[order], rough[order], self.centre, np.inf, np.radians(20), 4)
+        return self.refined_all(poses)
+
+    def refuse_free_motions(self, best: FineRegistration, verdict: Agreement) -> None:
+        """Slide along the three motions the surface resists least; refuse when the scans fit there as well."""
+        scale = np.array([1, 1, 1, 1 / self.extent, 1 / self.extent, 1 / self.extent])
+        _, directions = np.linalg.eigh(best.information * np.outer(scale, scale))
+        slides = 0.12 * self.extent * directions.T[:3] * scale
+        to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
+        found = self.refined_all(back @ small_motion(slide) @ to_centre @ best.T_target_source for slide in slides)
+        free = [
+            self.motion_name(slid.T_target_source, best.T_target_source)
+            for slid, seen in found
+            if self.differ(slid.T_target_source, best.T_target_source)
+            and seen.share > verdict.share - LEAST_MARGIN
+            and seen.overlap > 0.7 * verdict.overlap
+        ]
+        if free:
+            raise DegenerateError(
+                f"the registration is ambiguous, free motion: {'; '.join(free)}; the part shows nothing that fixes it there, scan more of the part or a part with features"
+            )
+
+    def motion_name(self, pose: Floats, reference: Floats) -> str:
+        """In words, the motion in the target's frame that leads from ``reference`` to ``pose``."""
+        motion = pose @ inverse(reference)
+        angle = angle_between(motion, np.eye(4))
+        centre = move_points(reference, self.centre)
+        shift = move_points(motion, centre) - centre
+        if angle * self.extent > 0.3 * np.linalg.norm(shift):
+            axis = Rotation.from_matrix(motion[:3, :3]).as_rotvec() / angle
+            pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ shift
+            x, y, z, a, b, c = *axis, *pivot
+            return (
+                f"a turn (here by {np.degrees(angle):.0f} deg) about the axis ({x:.2f}, {y:.2f}, {z:.2f})"
+                f" through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
+            )
+        x, y, z = shift / np.linalg.norm(shift)
+        return f"a shift (here by {np.linalg.norm(shift):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def _tolerance(source: Surfels, target: Surfels) -> float:
+    """Distance in mm within which two surfaces count as the same: their roughness, and a little of the cell size."""
+    rough = np.hypot(np.median(source.roughness_mm), np.median(target.roughness_mm))
+    return float(3 * rough + 0.1 * target.grid.size_mm)
