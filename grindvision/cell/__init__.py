@@ -10,6 +10,9 @@ from grindvision.cell.calibration_scene import (
     measured,
     misaligned_tracker,
 )
+from grindvision.cell.experiment4 import Experiment4Twin, PrintedPath, experiment4_twin, printed_path, twin_part
+from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
+from grindvision.cell.grinding_scene import GrindingScene, grinding_scene, scanned_pair
 from grindvision.cell.rays import Target
 from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
 from grindvision.cell.scanners import DepthCamera, Scan, Scanner, Sighting, StructuredLightScanner
@@ -22,12 +25,17 @@ from grindvision.cell.weld_scene import WeldScene, weld_scene
 __all__ = [
     "KINDS",
     "SOURCES",
+    "Bead",
     "CalibrationExperiment",
     "CalibrationPlan",
     "DepthCamera",
+    "Experiment4Twin",
+    "GrindingPart",
     "GrindingRobot",
+    "GrindingScene",
     "Groove",
     "LaserTracker",
+    "PrintedPath",
     "Scan",
     "Scanner",
     "ScannerErrors",
@@ -41,14 +49,20 @@ __all__ = [
     "calibration_experiment",
     "calibration_plan",
     "directions_seeing",
+    "experiment4_twin",
+    "grinding_part",
+    "grinding_scene",
     "measure_sphere",
     "measured",
     "misaligned_tracker",
     "nominal_arm",
+    "printed_path",
     "scan_sphere",
+    "scanned_pair",
     "sphere_centre_errors",
     "sphere_on_nest",
     "true_arm",
+    "twin_part",
     "view_from",
     "weld_piece",
     "weld_scene",
