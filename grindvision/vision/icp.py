@@ -184,7 +184,7 @@ def icp_generalised(
     )  # fmt: skip
 
 
-def _result(transform, rms, overlap, errors, converged, centre, information, number, sigma):  # noqa: ANN001, ANN202
+def _result(transform, rms, overlap, errors, converged, centre, information, number, sigma):
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale)
     if number > 6 and np.linalg.cond(scaled) < 1e12:

@@ -1,0 +1,100 @@
+"""report.png of ``grindvision detect``: four views in the manner of the first paper's Figure 7."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from grindvision.files import write_whole
+from grindvision.geometry import inverse, move_points
+
+if TYPE_CHECKING:
+    from grindvision.vision.detect import Detection
+
+SAMPLE, TEST, HIGHLIGHT, GREY = "#0072B2", "#E69F00", "#D55E00", "#999999"
+
+
+def draw(found: Detection, path: Path) -> None:
+    """Draw the unregistered pair, the registered pair, the signed difference, and the path on the test scan."""
+    test, sample = found.test.surfels.points, found.sample.surfels.points
+    registered = move_points(inverse(found.T_sample_test), sample)
+    view = _View(test)
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    figure.suptitle(f"{found}\nconfidence {found.confidence:.2f}, frame of the test scan, mm", fontsize=11)
+    (before, after), (signed, path_view) = figure.subplots(2, 2)
+    for axes, title, other in ((before, "before registration", sample), (after, "after registration", registered)):
+        _dots(axes, view, other, SAMPLE, "sample")
+        _dots(axes, view, test, TEST, "test")
+        axes.set_title(title)
+        axes.legend(frameon=False, markerscale=6, loc="upper right")
+    _draw_difference(signed, view, found)
+    _draw_path(path_view, view, found)
+    for axes in (before, after, signed, path_view):
+        axes.set_aspect("equal")
+        axes.set(xlabel="along the scan's longer side, mm", ylabel="across, mm")
+    with write_whole(path) as temporary:
+        figure.savefig(temporary, dpi=100)
+
+
+class _View:
+    """Looks at a scan against its mean direction of least spread."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        self.middle = points.mean(axis=0)
+        _, axes = np.linalg.eigh(np.cov((points - self.middle).T))
+        self.axes = axes[:, [2, 1]] * np.sign(axes[np.abs(axes[:, [2, 1]]).argmax(axis=0), [2, 1]])
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return (points - self.middle) @ self.axes
+
+
+def _dots(axes: Axes, view: _View, points: np.ndarray, colour: str, label: str) -> None:
+    seen = view(points[:: max(len(points) // 8000, 1)])
+    axes.plot(*seen.T, ",", color=colour, alpha=0.6)
+    axes.plot([], [], ".", color=colour, label=label)
+
+
+def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
+    difference = found.difference
+    limit = max(4 * difference.level_of_detection_mm, *(cluster.peak_mm for cluster in difference.clusters), 0)
+    shown = np.isfinite(difference.signed_mm)
+    axes.plot(*view(difference.surfels[~shown]).T, ",", color=GREY)
+    colours = axes.scatter(
+        *view(difference.surfels[shown]).T,
+        c=difference.signed_mm[shown],
+        s=1,
+        lw=0,
+        cmap="RdBu_r",
+        vmin=-limit,
+        vmax=limit,
+    )
+    axes.figure.colorbar(colours, ax=axes, label="above the good surface, mm", shrink=0.8)
+    axes.set_title(
+        f"difference (level of detection {difference.level_of_detection_mm:.2f} mm; grey: nothing to compare)"
+    )
+
+
+def _draw_path(axes: Axes, view: _View, found: Detection) -> None:
+    if not found.beads:
+        _dots(axes, view, found.test.surfels.points, GREY, "test")
+        axes.set_title("nothing to grind")
+        return
+    bead = found.beads[0]
+    reach = 0.75 * bead.length_mm + 3 * bead.width_mm
+    middle = view(bead.points).mean(axis=0)
+    near = np.abs(view(found.test.points) - middle).max(axis=1) < reach
+    points = found.test.points[near]
+    axes.plot(*view(points[:: max(len(points) // 6000, 1)]).T, ".", ms=1, color=GREY)
+    axes.plot(*view(found.difference.points).T, ".", ms=2, color=TEST)
+    for one in found.beads:
+        ridge = np.vstack([one.ridge, one.ridge[:1]]) if one.closed else one.ridge
+        axes.plot(*view(ridge).T, color=HIGHLIGHT, lw=1)
+        axes.plot(*view(one.points).T, "o", ms=5, color=HIGHLIGHT, mec="black")
+    for number, place in enumerate(view(bead.points), start=1):
+        axes.annotate(str(number), place, xytext=(4, 4), textcoords="offset points")
+    axes.set(xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]))
+    axes.set_title(f"path on the largest of {len(found.beads)} bead(s)")
