@@ -11,13 +11,11 @@ from grindvision.arm import MdhArm, check_angles, forward
 from grindvision.calibration.estimate import Spreads, gauss_newton, residuals_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns
+from grindvision.calibration.starts import fixed_base_start, free_base_starts, median_error
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import (
     check_points,
-    fit_rigid,
     inverse,
-    nearest_rotation,
-    random_rotation,
     rigid,
     vector_angle,
 )
@@ -80,10 +78,11 @@ def best_fit(
         _refuse_line(measurements.scanner_mm, "scanner")
     unknowns = Unknowns(scanner, (), 0 if base_fixed else 6)
     spreads = Spreads(1.0, 0.0, 1.0, 1.0)
-    starts = _fixed_base_start(measurements, arm) if base_fixed else _free_base_starts(measurements, arm)
+    rng = np.random.default_rng(0)
+    starts = [fixed_base_start(measurements, arm, rng)] if base_fixed else free_base_starts(measurements, arm, rng)
     best, smallest = None, np.inf
     for start in starts:
-        cell, *_ = gauss_newton(start, arm, unknowns, measurements, spreads, robust=robust, iterations=30)
+        cell, *_ = gauss_newton(start, arm, unknowns, measurements, spreads, robust=robust, iterations=20)
         left = median_error(cell, measurements)
         if left < smallest:
             best, smallest = cell, left
@@ -102,55 +101,6 @@ def coarse_start(measurements: Measurements, arm: MdhArm, base_fixed: bool = Fal
     if base_fixed or median_error(taken.cell, measurements) <= PLAUSIBLE_MM:
         return taken
     return best_fit(measurements, arm)
-
-
-def median_error(cell: ScannerOnArm, measurements: Measurements) -> float:
-    """Median distance in mm between measured and predicted points."""
-    return float(np.median(np.linalg.norm(residuals_of(cell, measurements), axis=1)))
-
-
-def _fixed_base_start(measurements: Measurements, arm: MdhArm) -> list[ScannerOnArm]:
-    points_joint = _in_joint(measurements.tracker_mm, forward(arm, measurements.q_rad))
-    if measurements.on_tool:
-        place = rigid(translation_mm=np.median(points_joint, axis=0) - measurements.scanner_mm[0])
-    else:
-        place = fit_rigid(measurements.scanner_mm, points_joint).T_target_source
-    return [ScannerOnArm(arm, place, np.eye(4))]
-
-
-def _free_base_starts(measurements: Measurements, arm: MdhArm) -> list[ScannerOnArm]:
-    """Linear solution of R_bt p_t + t_bt - R_i (R_js s + t_js) = t_i, rotations free, and a few blind starts."""
-    T_base_joint = forward(arm, measurements.q_rad)
-    size = max(float(np.abs(measurements.tracker_mm).max()), 1.0)
-    rows = len(measurements)
-    columns = np.zeros((rows, 3, 24))
-    for axis in range(3):
-        columns[:, axis, 3 * axis : 3 * axis + 3] = measurements.tracker_mm / size
-        columns[:, axis, 9 + axis] = 1.0
-        columns[:, :, 12 + 3 * axis : 15 + 3 * axis] = (
-            -T_base_joint[:, :3, axis, None] * measurements.scanner_mm[:, None, :] / size
-        )
-    columns[:, :, 21:] = -T_base_joint[:, :3, :3]
-    solution = np.linalg.lstsq(columns.reshape(-1, 24), T_base_joint[:, :3, 3].ravel(), rcond=1e-9)[0]
-    rng = np.random.default_rng(0)
-    turns = [nearest_rotation(solution[:9].reshape(3, 3))] + [random_rotation(rng) for _ in range(3)]
-    starts = []
-    for number, R_base_tracker in enumerate(turns):
-        R_joint_scanner = np.eye(3)
-        if not measurements.on_tool:
-            R_joint_scanner = nearest_rotation(solution[12:21].reshape(3, 3)) if number == 0 else random_rotation(rng)
-        moved = measurements.tracker_mm @ R_base_tracker.T
-        turned = np.einsum("mij,mj->mi", T_base_joint[:, :3, :3], measurements.scanner_mm @ R_joint_scanner.T)
-        shifts = np.concatenate([np.broadcast_to(np.eye(3), (rows, 3, 3)), -T_base_joint[:, :3, :3]], axis=2)
-        goal = T_base_joint[:, :3, 3] + turned - moved
-        places = np.linalg.lstsq(shifts.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
-        T_tracker_base = inverse(rigid(R_base_tracker, places[:3]))
-        starts.append(ScannerOnArm(arm, rigid(R_joint_scanner, places[3:]), T_tracker_base))
-    return starts
-
-
-def _in_joint(points_base: Floats, T_base_joint: Floats) -> Floats:
-    return np.einsum("mji,mj->mi", T_base_joint[:, :3, :3], points_base - T_base_joint[:, :3, 3])
 
 
 def _workpiece_frame(points: Floats, name: str) -> Floats:

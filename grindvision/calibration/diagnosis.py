@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.arm import MdhArm
-from grindvision.calibration.coarse import coarse_start, median_error
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
+from grindvision.calibration.starts import closed_form_error, median_error
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 
 Flags = NDArray[np.bool_]
@@ -83,10 +83,9 @@ def check_fit(
     as_given = median_error(coarse, training)
     for reason, kind, changed in _explanations(training):
         try:
-            fit = coarse_start(changed(training), coarse.arm, base_fixed)
+            left = closed_form_error(changed(training), coarse.arm, base_fixed)
         except GrindvisionError:
             continue
-        left = median_error(fit.cell, changed(training))
         if left < 0.2 * as_given:
             raise kind(
                 f"{reason}: then the nominal arm leaves {left:.2f} mm instead of {as_given:.1f} mm; mend the columns"
@@ -127,21 +126,17 @@ def _explanations(
     measurements: Measurements,
 ) -> list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]]:
     found: list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]] = []
-    for shift in (1, -1):
-        found.append(
-            (
-                f"the tracker's rows are shifted by {shift} against scans and joint angles",
-                InputError,
-                lambda m, shift=shift: replace(m, tracker_mm=np.roll(m.tracker_mm, -shift, axis=0)),
+    for column, what in (("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans")):
+        for shift in (1, -1):
+            found.append(
+                (
+                    f"the rows of {what} are shifted by {shift} against the other columns",
+                    InputError,
+                    lambda m, column=column, shift=shift: replace(
+                        m, **{column: np.roll(getattr(m, column), -shift, axis=0)}
+                    ),
+                )
             )
-        )
-        found.append(
-            (
-                f"the rows of joint angles are shifted by {shift} against the spheres",
-                InputError,
-                lambda m, shift=shift: replace(m, q_rad=np.roll(m.q_rad, -shift, axis=0)),
-            )
-        )
     for joint in range(measurements.q_rad.shape[1]):
         for factor, reason, kind in (
             (np.pi / 180, "looks like degrees", UnitError),

@@ -15,8 +15,11 @@ Floats = NDArray[np.float64]
 
 #: Below these the spreads count as zero: far under any instrument, far above rounding.
 SMALLEST_MM, SMALLEST_RAD = 1e-9, 1e-12
-_LEAST_DEVIATION = np.array([0.01, 2e-5])
-_MOST_DEVIATION = np.array([100.0, 0.2])
+
+#: A table's lengths (mm) and angles (rad) are never taken for more exact than this, however well the nominal ones fit:
+#: a smaller learnt prior makes single parameters look surer than they are.
+LEAST_DEVIATION = (0.2, 4e-4)
+_MOST_DEVIATION = (100.0, 0.2)
 
 
 @dataclass(frozen=True)
@@ -164,13 +167,13 @@ def estimate_spreads(
             block = normal[:, group] / units[group]
             explained.append((pulls[group] ** 2).sum())
             expected.append((np.diag(normal)[group] / units[group] ** 2).sum() - np.sum(block * (covariance @ block)))
-        factors = np.sqrt(np.sqrt(np.maximum(explained, 1e-300) / np.maximum(expected, 1e-300)))
+        factors = np.sqrt(np.sqrt(np.maximum(explained, 1e-60) / np.maximum(expected, 1e-60)))
         old = np.array([spreads.rest_mm, spreads.joint_rad, spreads.length_mm, spreads.angle_rad])
         new = old * np.clip(factors, 1e-3, 1e3)
         new[:2] = np.maximum(new[:2], [SMALLEST_MM, SMALLEST_RAD])
         new[2:] = [
             np.clip(value, low, high) if given is None else given
-            for value, given, low, high in zip(new[2:], fixed, _LEAST_DEVIATION, _MOST_DEVIATION, strict=True)
+            for value, given, low, high in zip(new[2:], fixed, LEAST_DEVIATION, _MOST_DEVIATION, strict=True)
         ]
         spreads = Spreads(*(float(value) for value in new))
         if np.abs(np.log(new / old)).max() < 3e-3:

@@ -1,0 +1,227 @@
+"""Bad measurements are refused or named, never calibrated in silence; the command line keeps its contract."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from grindvision.arm import read_arm, write_arm
+from grindvision.calibration import Measurements, Options, calibrate, cross_validated, read_measurements
+from grindvision.cli import main
+from grindvision.errors import DegenerateError, FileError, InputError, UnitError
+from tests.calibration_rig import er3a, rig
+
+
+def as_table(measurements: Measurements, split: bool = True) -> pd.DataFrame:
+    columns = [f"q{i + 1}_rad" for i in range(measurements.q_rad.shape[1])]
+    columns += [f"{frame}{axis}_mm" for frame in "sb" for axis in "xyz"]
+    numbers = np.hstack([measurements.q_rad, measurements.scanner_mm, measurements.tracker_mm])
+    table = pd.DataFrame(numbers, columns=columns)
+    table.insert(0, "pose", measurements.pose)
+    table.insert(1, "sphere", measurements.sphere)
+    if split:
+        table["split"] = np.where(measurements.train, "train", "test")
+    return table
+
+
+@pytest.fixture
+def folder(tmp_path, rng):
+    made = rig(er3a(), rng, test=12)
+    as_table(made.measurements).to_csv(tmp_path / "m.csv", index=False)
+    write_arm(er3a(), tmp_path / "r.csv")
+    return tmp_path
+
+
+def command(folder, *more) -> int:
+    words = [str(folder / "m.csv"), "--robot", str(folder / "r.csv"), "-o", str(folder / "out")]
+    return main(["calibrate", *words, *more])
+
+
+def changed(folder, **columns) -> None:
+    table = pd.read_csv(folder / "m.csv")
+    for name, change in columns.items():
+        table[name] = change(table[name])
+    table.to_csv(folder / "m.csv", index=False)
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_degrees_in_a_radian_column(joint, rng):
+    measurements = rig(er3a(), rng).measurements
+    q = measurements.q_rad * np.where(np.arange(4) == joint, 180 / np.pi, 1)
+    with pytest.raises(UnitError, match=rf"q{joint + 1}_rad .*degrees"):
+        calibrate(replace(measurements, q_rad=q), er3a())
+
+
+def test_small_angles_in_degrees_are_found_by_the_fit(rng):
+    made = rig(er3a(), rng)
+    narrow = np.where(np.arange(4) == 2, 0.05 * made.measurements.q_rad, made.measurements.q_rad)
+    tracker = made.cell.points_tracker(narrow, made.measurements.scanner_mm)
+    degrees = narrow * np.where(np.arange(4) == 2, 180 / np.pi, 1)
+    with pytest.raises(UnitError, match="q3_rad looks like degrees"):
+        calibrate(Measurements(degrees, made.measurements.scanner_mm, tracker), er3a())
+
+
+@pytest.mark.parametrize("column", ["scanner_mm", "tracker_mm"])
+def test_metres_in_all_columns(column, rng):
+    measurements = rig(er3a(), rng).measurements
+    with pytest.raises(UnitError, match="metres"):
+        calibrate(replace(measurements, **{column: getattr(measurements, column) / 1000}), er3a())
+
+
+@pytest.mark.parametrize(("column", "name"), [("scanner_mm", "sz_mm"), ("tracker_mm", "bx_mm")])
+def test_metres_in_one_column(column, name, rng):
+    measurements = rig(er3a(), rng).measurements
+    scale = np.where(np.arange(3) == "xyz".index(name[1]), 1e-3, 1)
+    with pytest.raises(UnitError, match=rf"{name} .*metres"):
+        calibrate(replace(measurements, **{column: getattr(measurements, column) * scale}), er3a())
+
+
+def test_an_arm_in_metres(rng):
+    arm = er3a().with_table(er3a().table * [1, 1e-3, 1e-3, 1, 1])
+    with pytest.raises(UnitError, match=r"robot table looks like metres"):
+        calibrate(rig(er3a(), rng).measurements, arm)
+
+
+def test_fewer_measurements_than_unknowns(rng):
+    with pytest.raises(DegenerateError, match="9 different training measurements give 27 equations for 29 unknowns"):
+        calibrate(rig(er3a(), rng, rows=9).measurements, er3a())
+
+
+def test_one_pose_only(rng):
+    measurements = rig(er3a(), rng).measurements
+    still = np.broadcast_to(measurements.q_rad[0], measurements.q_rad.shape)
+    with pytest.raises(DegenerateError, match="same joint angles"):
+        calibrate(replace(measurements, q_rad=still), er3a())
+
+
+def test_not_a_number(rng):
+    measurements = rig(er3a(), rng).measurements
+    bad = measurements.tracker_mm.copy()
+    bad[6, 1] = np.nan
+    with pytest.raises(InputError, match="tracker_mm: row 7 holds NaN"):
+        replace(measurements, tracker_mm=bad)
+
+
+def test_copied_rows_are_named_and_counted_once(rng):
+    measurements = rig(er3a(), rng).measurements
+    doubled = measurements.rows(np.r_[np.arange(54), 3, 4])
+    result, plain = calibrate(doubled, er3a()), calibrate(measurements, er3a())
+    assert any("2 rows are copies" in sentence and "row 55" in sentence for sentence in result.warnings)
+    assert np.allclose(result.covariance, plain.covariance)
+
+
+@pytest.mark.parametrize("shift", [1, -1])
+@pytest.mark.parametrize("column", ["tracker_mm", "q_rad", "scanner_mm"])
+def test_a_shifted_pairing(column, shift, rng):
+    measurements = rig(er3a(), rng).measurements
+    with pytest.raises(InputError, match="shifted by"):
+        calibrate(replace(measurements, **{column: np.roll(getattr(measurements, column), shift, axis=0)}), er3a())
+
+
+def test_a_joint_that_counts_the_other_way(rng):
+    measurements = rig(er3a(), rng).measurements
+    with pytest.raises(InputError, match="q2_rad counts the other way"):
+        calibrate(replace(measurements, q_rad=measurements.q_rad * [1, -1, 1, 1]), er3a())
+
+
+def test_another_arm(rng):
+    table = er3a().table.copy()
+    table[:, 0] *= -1
+    table[2, 1] = 500.0
+    with pytest.raises(InputError, match="no arm of this structure fits"):
+        calibrate(rig(er3a(), rng).measurements, er3a().with_table(table))
+
+
+def test_wrong_rows_are_dropped_and_named(rng):
+    made = rig(er3a(), rng, test=50)
+    tracker = made.measurements.tracker_mm.copy()
+    tracker[[7, 20]] = tracker[[20, 7]]
+    tracker[33] += [0.0, 1.5, 0.0]
+    result = calibrate(replace(made.measurements, tracker_mm=tracker), er3a())
+    assert result.dropped == (7, 20, 33)
+    assert sum("contradicts the others: row" in sentence for sentence in result.warnings) == 3
+    clean = calibrate(made.measurements, er3a())
+    assert clean.dropped == ()
+    assert result.errors(train=False).mean < 1.1 * clean.errors(train=False).mean
+    with pytest.raises(InputError, match="no arm of this structure fits"):
+        calibrate(replace(made.measurements, tracker_mm=tracker), er3a(), Options(robust=False))
+
+
+def test_too_many_wrong_rows_are_refused(rng):
+    measurements = rig(er3a(), rng).measurements
+    order = np.where(np.arange(54) < 22, np.random.default_rng(1).permutation(54), np.arange(54))
+    with pytest.raises((InputError, DegenerateError)):
+        calibrate(replace(measurements, tracker_mm=measurements.tracker_mm[order]), er3a())
+
+
+def test_one_label_cannot_be_cross_validated(rng):
+    measurements = replace(rig(er3a(), rng).measurements, sphere=["a"] * 54, pose=["b"] * 54)
+    with pytest.raises(DegenerateError, match="label them"):
+        cross_validated(calibrate(measurements, er3a()), Options())
+
+
+def test_the_command_writes_what_it_promises(folder, capsys):
+    assert command(folder) == 0
+    assert capsys.readouterr().err == ""
+    assert read_arm(folder / "out" / "robot.csv").n == 4
+    hand_eye = json.loads((folder / "out" / "hand_eye.json").read_text())
+    assert all(np.shape(hand_eye[name]) == (4, 4) for name in ("T_joint_scanner", "T_tracker_base"))
+    report = json.loads((folder / "out" / "report.json").read_text())
+    assert (report["rank"], report["unknowns"], len(report["singular_values"])) == (22, 29, 29)
+    for part in ("train", "test"):
+        for when in ("before", "after"):
+            assert {"mean", "rms", "max", "std"} <= set(report["errors_mm"][part][when])
+    assert report["errors_mm"]["test"]["after"]["mean"] < report["errors_mm"]["test"]["before"]["mean"] / 4
+    assert report["standard_deviations"]["d4_mm"] is None
+    assert report["standard_deviations"]["a3_mm"] > 0
+    assert {"total", "read", "calibrate"} <= set(report["timings_s"])
+    assert [item["name"] for item in report["inputs"]] == ["m.csv", "r.csv"]
+    assert (folder / "out" / "report.png").stat().st_size > 20_000
+
+
+def test_the_command_without_a_split_says_how_it_held_out(folder):
+    pd.read_csv(folder / "m.csv").drop(columns="split").to_csv(folder / "m.csv", index=False)
+    assert command(folder, "--base-fixed") == 0
+    report = json.loads((folder / "out" / "report.json").read_text())
+    assert report["held_out"] == "5-fold cross-validation, whole spheres left out together, seed 0"
+    assert report["unknowns"] == 23
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"q1_rad": np.degrees}, "q1_rad"),
+        ({"sx_mm": lambda c: c.astype(object).where(c.index != 4, "wrong")}, "row 5, column sx_mm"),
+        ({"by_mm": lambda c: c.where(c.index != 2)}, "row 3, column by_mm"),
+        ({"split": lambda c: c.where(c.index != 1, "valid")}, "row 2, column split: 'valid'"),
+        ({"q1_rad": lambda c: 0 * c, "q2_rad": lambda c: 0 * c, "q3_rad": lambda c: 0 * c, "q4_rad": lambda c: 0 * c},
+         "same joint angles"),
+    ],
+)  # fmt: skip
+def test_the_command_refuses_in_one_line(folder, columns, message, capsys):
+    changed(folder, **columns)
+    assert command(folder) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not (folder / "out").exists()
+
+
+def test_a_file_of_another_arm(folder):
+    with pytest.raises(FileError, match="q3_rad, q4_rad missing") as error:
+        table = pd.read_csv(folder / "m.csv").drop(columns=["q3_rad", "q4_rad"])
+        table.to_csv(folder / "m.csv", index=False)
+        read_measurements(folder / "m.csv", 4)
+    assert "m.csv" in str(error.value)
+    with pytest.raises(FileError, match="column q2_rad, but the robot table has 1 joints"):
+        read_measurements(folder / "m.csv", 1)
+
+
+def test_covariance_columns_are_read(folder):
+    table = pd.read_csv(folder / "m.csv")
+    for name, value in {"sxx": 1, "sxy": 0.1, "sxz": 0.2, "syy": 2, "syz": 0.3, "szz": 3}.items():
+        table[f"{name}_mm2"] = value
+    table.to_csv(folder / "m.csv", index=False)
+    covariance = read_measurements(folder / "m.csv", 4).scanner_covariance_mm2
+    assert covariance[5].tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
