@@ -43,3 +43,7 @@ class CollisionError(GrindvisionError):
 
 class SendError(GrindvisionError):
     """A programme could not be handed over to the robot's controller."""
+
+
+class NoGrooveError(GrindvisionError):
+    """The cloud shows no weld groove."""
