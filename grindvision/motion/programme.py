@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from grindvision.errors import InputError
 from grindvision.files import write_json, write_text
+from grindvision.geometry import vector_angle
 from grindvision.motion.plan import Motion
 from grindvision.motion.trajectory import Trajectory
 
@@ -93,7 +94,7 @@ def urscript(motion: Motion) -> str:
     poses = [_ur_pose(robot.T_controller_base @ pose) for pose in motion.path.T_base_tool]
     away = _ur_pose(robot.T_controller_base @ robot.forward(motion.q_retreat_rad))
     arc = motion.trajectory.arc_mm
-    blend_m = 1e-3 * min(1.0, 0.25 * float(np.diff(arc).min()))
+    blends_mm = _blends(motion.path.T_base_tool[:, :3, 3])
     angles = ", ".join(f"{angle:.9f}" for angle in motion.q_approach_rad)
     lines = [
         "def follow_seam():",
@@ -105,10 +106,19 @@ def urscript(motion: Motion) -> str:
     for number, pose in enumerate(poses[1:], 1):
         on_move = (timing.arc_mm >= arc[number - 1]) & (timing.arc_mm <= arc[number])
         speed_m_s = 1e-3 * timing.tool_speed_mm_s[on_move].max(initial=0.1)
-        radius_m = blend_m if number < len(poses) - 1 else 0.0
-        lines.append(f"  movep({pose}, a=0.1, v={speed_m_s:.6f}, r={radius_m:.6f})")
+        lines.append(f"  movep({pose}, a=0.1, v={speed_m_s:.6f}, r={1e-3 * blends_mm[number]:.6f})")
     lines += [f"  movel({away}, a=0.3, v=0.02)", "end", ""]
     return "\n".join(lines)
+
+
+def _blends(points: Floats) -> Floats:
+    """Blend radius (N,) in mm at each of N points, at most 1: there the tool rounds the corner, cutting off 0.02 mm."""
+    steps = np.diff(points, axis=0)
+    turns = vector_angle(steps[1:], steps[:-1])
+    lengths = np.linalg.norm(steps, axis=1)
+    blends = np.zeros(len(points))
+    blends[1:-1] = np.minimum(np.minimum(lengths[1:], lengths[:-1]) / 4, 0.02 / np.tan(np.maximum(turns, 0.08) / 4))
+    return blends
 
 
 def _ur_pose(T_from_to: Floats) -> str:

@@ -1,0 +1,152 @@
+import socket
+import struct
+import threading
+
+import pytest
+
+from grindvision.errors import InputError, SendError
+from grindvision.motion import send_urscript
+
+SCRIPT = "def follow_seam():\n  movej([0, 0, 0, 0, 0, 0])\nend\n"
+#: Larger than the buffers between two sockets, so that it cannot vanish into them unread.
+LONG_SCRIPT = "def follow_seam():\n" + "  movej([0, 0, 0, 0, 0, 0])\n" * 400_000 + "end\n"
+
+
+class Controller:
+    """A robot controller on loopback that greets, listens and answers as ``behave`` says, in its own thread."""
+
+    def __init__(self, behave):
+        self.behave = behave
+        self.heard = b""
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.server.settimeout(5)
+        self.port = self.server.getsockname()[1]
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+
+    def serve(self):
+        try:
+            connection, _ = self.server.accept()
+        except OSError:
+            return
+        connection.settimeout(5)
+        with connection:
+            self.behave(self, connection)
+
+    def listen(self, connection):
+        while not self.heard.endswith(b"\nend\n") and (block := connection.recv(65536)):
+            self.heard += block
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.server.close()
+        self.thread.join(timeout=5)
+
+
+def proper(controller, connection):
+    connection.sendall(b"state" * 100)
+    controller.listen(connection)
+    connection.sendall(b"state" * 100)
+
+
+def silent(controller, connection):
+    try:
+        connection.settimeout(1.0)
+        controller.listen(connection)
+    except TimeoutError:
+        pass
+
+
+def closing_at_once(controller, connection):
+    pass
+
+
+def closing_after_the_greeting(controller, connection):
+    connection.sendall(b"state")
+    connection.recv(1)
+
+
+def breaking_off(controller, connection):
+    connection.sendall(b"state")
+    controller.heard = connection.recv(1000)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset instead of goodbye
+
+
+def deaf_afterwards(controller, connection):
+    connection.sendall(b"state")
+    controller.listen(connection)
+    connection.recv(1)  # until the sender gives up
+
+
+def test_the_controller_gets_every_byte():
+    with Controller(proper) as controller:
+        delivery = send_urscript(SCRIPT, "127.0.0.1", controller.port)
+        controller.thread.join(timeout=5)
+    assert controller.heard == SCRIPT.encode()
+    assert str(delivery) == f"{len(SCRIPT)} bytes sent to 127.0.0.1:{controller.port}"
+
+
+def test_a_long_programme_arrives_whole():
+    with Controller(proper) as controller:
+        assert send_urscript(LONG_SCRIPT, "127.0.0.1", controller.port).sent_bytes == len(LONG_SCRIPT)
+        controller.thread.join(timeout=5)
+    assert controller.heard == LONG_SCRIPT.encode()
+
+
+def test_a_closed_port_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with pytest.raises(SendError, match=rf"127.0.0.1:{port}: Connection refused.*nothing was sent"):
+        send_urscript(SCRIPT, "127.0.0.1", port)
+
+
+def test_an_unknown_host_is_named(monkeypatch):
+    def unknown(*_, **__):
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(SendError, match=r"robot.invalid:30002: no such host.*nothing was sent"):
+        send_urscript(SCRIPT, "robot.invalid")
+
+
+@pytest.mark.parametrize(
+    ("behave", "complaint"), [(silent, "silent for 0.3 s"), (closing_at_once, "closed the connection")]
+)
+def test_nothing_is_sent_to_what_does_not_speak_first(behave, complaint):
+    with Controller(behave) as controller:
+        with pytest.raises(SendError, match=f"{complaint}.*nothing was sent"):
+            send_urscript(SCRIPT, "127.0.0.1", controller.port, timeout_s=0.3)
+        controller.thread.join(timeout=5)
+    assert controller.heard == b""
+
+
+@pytest.mark.parametrize(
+    ("behave", "script", "complaint"),
+    [
+        (closing_after_the_greeting, SCRIPT, "went out but may not have been taken|nothing runs"),
+        (breaking_off, LONG_SCRIPT, "without its final 'end' nothing runs"),
+        (deaf_afterwards, SCRIPT, "silent for 0.3 s.*may not have been taken"),
+    ],
+)
+def test_a_socket_that_closes_on_the_way_is_named(behave, script, complaint):
+    with Controller(behave) as controller, pytest.raises(SendError, match=complaint):
+        send_urscript(script, "127.0.0.1", controller.port, timeout_s=0.3)
+    assert b"\nend\n" not in controller.heard or behave is deaf_afterwards
+
+
+@pytest.mark.parametrize("script", ["", "movej([0])\n", SCRIPT[:-5], SCRIPT.rstrip("\n")])
+def test_half_a_programme_is_refused_before_anyone_is_called(script):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with pytest.raises(InputError, match="no whole programme"):
+            send_urscript(script, "127.0.0.1", server.getsockname()[1])
+        server.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+@pytest.mark.parametrize("where", [{"host": ""}, {"host": "a", "port": 0}, {"host": "a", "timeout_s": 0.0}])
+def test_an_address_that_is_none_is_refused(where):
+    with pytest.raises(InputError, match="cannot send to"):
+        send_urscript(SCRIPT, **where)

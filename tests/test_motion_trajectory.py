@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from motion_scene import ring, s_trajectory, seam
+from scipy.spatial.transform import Rotation
+
+from grindvision.errors import DegenerateError, InputError, NotRigidError
+from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.motion import Trajectory, tool_trajectory
+
+
+def test_tool_points_into_the_surface_and_x_runs_along_the_seam():
+    positions, normals = seam(200)
+    poses = tool_trajectory(positions, normals).T_base_tool
+    assert np.allclose(poses[:, :3, 3], positions)
+    assert np.allclose(poses[:, :3, 2], -normals, atol=1e-12)
+    along = np.gradient(positions, axis=0)
+    across_surface = along - np.sum(along * normals, axis=1, keepdims=True) * normals
+    assert np.degrees(vector_angle(poses[:, :3, 0], across_surface)).max() < 1.0
+    assert np.allclose(np.linalg.det(poses[:, :3, :3]), 1.0)
+
+
+def test_frames_turn_with_the_work(rng):
+    positions, normals = seam()
+    T_new_base = rigid(random_rotation(rng), [10.0, -300.0, 7.0])
+    moved_before = tool_trajectory(move_points(T_new_base, positions), turn_vectors(T_new_base, normals))
+    assert np.allclose(moved_before.T_base_tool, tool_trajectory(positions, normals).moved(T_new_base).T_base_tool)
+
+
+def test_metres_give_the_same_frames_as_millimetres():
+    positions, normals = seam()
+    in_mm, in_m = tool_trajectory(positions, normals), tool_trajectory(positions / 1000, normals)
+    assert np.allclose(in_mm.T_base_tool[:, :3, :3], in_m.T_base_tool[:, :3, :3])
+
+
+def test_the_seam_backwards_keeps_the_axis_and_turns_x_and_y():
+    positions, normals = seam()
+    there, back = tool_trajectory(positions, normals), tool_trajectory(positions[::-1], normals[::-1])
+    assert np.allclose(there.T_base_tool[:, :3, :3] * [-1, -1, 1], back.T_base_tool[::-1, :3, :3])
+
+
+def test_a_ring_has_no_seam_where_it_closes():
+    trajectory = ring(36)
+    poses = trajectory.T_base_tool
+    tenth_turn = rigid(Rotation.from_euler("z", 10, degrees=True).as_matrix())
+    centre = rigid(translation_mm=poses[:, :3, 3].mean(axis=0))
+    about_centre = np.linalg.inv(centre) @ poses
+    assert np.allclose(tenth_turn @ about_centre, np.roll(about_centre, -1, axis=0), atol=1e-9)
+    assert np.allclose(trajectory.T_base_tool_worked[-1], poses[0]) and len(trajectory.T_base_tool_worked) == 37
+    assert trajectory.arc_mm[-1] == pytest.approx(36 * 2 * 50 * np.sin(np.pi / 36))
+
+
+def test_frames_do_not_spin_on_a_noisy_surface(rng):
+    straight = np.linspace(0, 300, 60)[:, None] * [0.0, 1.0, 0.0]
+    rough = np.array([0.0, 0.0, 1.0]) + rng.normal(0, 0.02, straight.shape)
+    poses = tool_trajectory(straight, rough).T_base_tool
+    steps = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
+    assert np.degrees(np.abs(steps[:, 2])).max() < 0.1  # second order in the tilt
+    assert np.degrees(np.abs(steps[:, 0])).max() > 1.0
+
+
+@pytest.mark.parametrize(("work_deg", "travel_deg"), [(0, 12), (15, 0), (-20, 0), (0, -30)])
+def test_work_and_travel_angle_tilt_the_tool_about_a_fixed_tip(work_deg, travel_deg):
+    positions, normals = seam()
+    plain = tool_trajectory(positions, normals).T_base_tool
+    tilted = tool_trajectory(
+        positions, normals, work_angle_rad=np.radians(work_deg), travel_angle_rad=np.radians(travel_deg)
+    ).T_base_tool
+    assert np.array_equal(tilted[:, :3, 3], plain[:, :3, 3])
+    assert np.degrees(vector_angle(tilted[:, :3, 2], -normals)) == pytest.approx(abs(work_deg + travel_deg), abs=1e-9)
+    forward = np.sum(tilted[:, :3, 2] * plain[:, :3, 0], axis=1)
+    sideways = np.sum(tilted[:, :3, 2] * plain[:, :3, 1], axis=1)
+    assert forward == pytest.approx(np.sin(np.radians(travel_deg)))
+    assert sideways == pytest.approx(-np.sin(np.radians(work_deg)))
+
+
+def test_roll_pitch_yaw_rebuild_the_frames():
+    trajectory = s_trajectory()
+    roll, pitch, yaw = trajectory.rpy_rad.T
+
+    def about(axis, angle):
+        return Rotation.from_rotvec(np.outer(angle, axis)).as_matrix()
+
+    turned = about([0, 0, 1], yaw) @ about([0, 1, 0], pitch) @ about([1, 0, 0], roll)
+    assert np.allclose(turned, trajectory.T_base_tool[:, :3, :3])
+
+
+def test_spinning_keeps_tip_and_axis_and_can_be_undone():
+    trajectory = s_trajectory()
+    spun = trajectory.spun(0.7)
+    assert np.allclose(spun.T_base_tool[:, :3, 2:], trajectory.T_base_tool[:, :3, 2:])
+    assert np.degrees(vector_angle(spun.T_base_tool[:, :3, 0], trajectory.T_base_tool[:, :3, 0])) == pytest.approx(
+        np.degrees(0.7)
+    )
+    assert np.allclose(spun.spun(-0.7).T_base_tool, trajectory.T_base_tool)
+
+
+def test_bad_way_points_are_named():
+    positions, normals = seam()
+    with pytest.raises(InputError, match="29 normals"):
+        tool_trajectory(positions, normals[:-1])
+    with pytest.raises(DegenerateError, match="coincide at"):
+        tool_trajectory(np.repeat(positions, 2, axis=0), np.repeat(normals, 2, axis=0))
+    with pytest.raises(DegenerateError, match="normal of way point 3"):
+        tool_trajectory(positions, np.where(np.arange(30)[:, None] == 3, 0.0, normals))
+    with pytest.raises(DegenerateError, match="way point 0 the seam runs along the surface normal"):
+        tool_trajectory(positions, np.gradient(positions, axis=0))
+    with pytest.raises(InputError, match="NaN"):
+        tool_trajectory(positions * np.nan, normals)
+    with pytest.raises(DegenerateError, match="at least 2"):
+        tool_trajectory(positions[:1], normals[:1])
+    with pytest.raises(InputError, match="travel angle"):
+        tool_trajectory(positions, normals, travel_angle_rad=15.0)
+    with pytest.raises(NotRigidError, match="way point 1"):
+        Trajectory(np.stack([np.eye(4), 2 * np.eye(4)]))
+    with pytest.raises(InputError, match=r"\(4, 4\)"):
+        Trajectory(np.eye(4))
