@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from grindvision.book.grinding import Bead, Wheel, grind
+from grindvision.book.grinding import Wheel, grind
+from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
 
@@ -14,7 +15,7 @@ WHEEL = Wheel(radius_mm=15.0, width_mm=6.0)
 def straight_bead():
     x = np.linspace(0.0, 30.0, 16)
     ridge = np.column_stack([x, np.zeros(16), np.full(16, HEIGHT)])
-    return Bead(ridge, np.tile([0.0, 0.0, 1.0], (16, 1)), HEIGHT, WIDTH)
+    return Bead(ridge, np.tile([0.0, 0.0, 1.0], (16, 1)), WIDTH, HEIGHT)
 
 
 def on_ridge(bead, chosen=slice(None), shift=(0.0, 0.0, 0.0)):
@@ -65,7 +66,7 @@ def test_few_points_on_a_curved_bead_cost_their_sagitta():
     radius = 100.0
     angle = np.linspace(-0.15, 0.15, 61)
     ridge = np.column_stack([radius * np.sin(angle), np.zeros(61), radius * np.cos(angle)])
-    bead = Bead(ridge, ridge / radius, HEIGHT, WIDTH)
+    bead = Bead(ridge, ridge / radius, WIDTH, HEIGHT)
     for chosen in (slice(None, None, 60), slice(None, None, 30), slice(None, None, 10)):
         ground = grind(bead, *on_ridge(bead, chosen), WHEEL, 0.5, 3)
         chord = np.linalg.norm(np.diff(ridge[chosen], axis=0), axis=1)[0]
@@ -76,7 +77,7 @@ def test_the_frame_does_not_matter(rng):
     bead = straight_bead()
     points, normals, heights = on_ridge(bead, slice(None, None, 3), shift=(0.0, 0.1, 0.05))
     T_other_part = rigid(random_rotation(rng), [10.0, -20.0, 30.0])
-    moved = Bead(move_points(T_other_part, bead.ridge_mm), turn_vectors(T_other_part, bead.normals), HEIGHT, WIDTH)
+    moved = Bead(move_points(T_other_part, bead.ridge_mm), turn_vectors(T_other_part, bead.normals), WIDTH, HEIGHT)
     here = grind(bead, points, normals, heights, WHEEL, 0.5, 3).after_mm
     there = grind(
         moved, move_points(T_other_part, points), turn_vectors(T_other_part, normals), heights, WHEEL, 0.5, 3

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
 
@@ -18,23 +19,6 @@ Floats = NDArray[np.float64]
 
 #: Distance of two places of the wheel, and of two lines of the bead's grid, mm.
 STEP_MM = 0.2
-
-
-@dataclass(frozen=True)
-class Bead:
-    """The true bead: ``ridge_mm`` (S, 3) in order, unit ``normals`` (S, 3) of the surface, height and width in mm.
-
-    Across, its height falls off as a parabola to zero at half the width.
-    """
-
-    ridge_mm: Floats
-    normals: Floats
-    height_mm: float
-    width_mm: float
-
-    def __post_init__(self) -> None:
-        if not (self.height_mm > 0 and self.width_mm > 0):
-            raise InputError(f"bead of height {self.height_mm} and width {self.width_mm} mm; both must be above zero")
 
 
 @dataclass(frozen=True)
@@ -91,7 +75,7 @@ def grind(
     ends on what vision takes for the good surface.
 
     Args:
-        bead: the truth, in the frame of the path.
+        bead: the truth, in the frame of the path; its rounded ends count as full.
         points_mm, normals: path points (N, 3) on the ridge and their outward unit normals (N, 3), in order.
         heights_mm: found height (N,) of each path point above the good surface.
         wheel: its size.
