@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry.neighbours import build_cells, within_radius
@@ -64,7 +65,7 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     stations = _Stations(curve, closed)
     for reach in (1.0, 0.8, 0.8):
         stations = _Stations(_vertices(cluster, stations, width, reach)[0], closed)
-    feet, normals, heights = _vertices(cluster, stations, width, 0.8, inner=True)
+    feet, normals, heights = _vertices(cluster, stations, width, 0.8)
     ridge = _Stations(feet + heights[:, None] * normals, closed)
     start, end = (0.0, ridge.length_mm) if closed else _ends(cluster, ridge)
     at = start + (end - start) * ((np.arange(points) + (0.0 if closed else 0.5)) / points)
@@ -112,8 +113,6 @@ class _Stations:
 
     def arc_of(self, points: Floats) -> Floats:
         """Arc lengths (K,) of the places on the curve nearest to points (K, 3); beyond the ends it runs on straight."""
-        from scipy.spatial import cKDTree
-
         fine = np.linspace(0, self.length_mm, max(int(len(self.places) * 8), 50))
         places = self.at(fine)
         _, near = cKDTree(places).query(points)
@@ -214,52 +213,49 @@ def _directed(places: Floats) -> Floats:
     return places if places[0, 0] <= places[-1, 0] else places[::-1]
 
 
-def _vertices(
-    cluster: Cluster, stations: _Stations, width: float, reach: float, inner: bool = False
-) -> tuple[Floats, Floats, Floats]:
-    """Ridge over stations along the curve: feet (M, 3) on the good surface, its normals (M, 3), ridge heights (M,)."""
-    feet_of_points = cluster.points - cluster.heights_mm[:, None] * cluster.normals
-    count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
-    arcs = np.linspace(0, stations.length_mm, count, endpoint=not stations.closed)
-    if not stations.closed:
-        step = stations.length_mm / count
-        arcs = np.linspace(0.3 * step, stations.length_mm - 0.3 * step, count)
-    places, tangents = stations.at(arcs), stations.tangents(arcs)
-    feet, normals, heights = [], [], []
-    from scipy.spatial import cKDTree
+def _vertices(cluster: Cluster, stations: _Stations, width: float, reach: float) -> tuple[Floats, Floats, Floats]:
+    """Ridge over stations along the curve: feet (M, 3) on the good surface, its normals (M, 3), ridge heights (M,).
 
-    tree = cKDTree(cluster.points)
-    for place, tangent in zip(places, tangents, strict=True):
-        near = np.array(tree.query_ball_point(place, 1.6 * width + cluster.peak_mm), dtype=np.int64)
-        if len(near) < 12:
-            continue
-        up = cluster.normals[near].mean(axis=0)
-        up = up - (up @ tangent) * tangent
-        up /= np.linalg.norm(up)
-        side = np.cross(up, tangent)
-        local = feet_of_points[near] - place
-        s, b, h = local @ tangent, local @ side, cluster.heights_mm[near]
-        across = 0.5 * width * reach
-        used = (np.abs(s) < 0.9 * width) & (np.abs(b) < across)
+    Points are taken in the curve's own coordinates: arc length s, distance b across, height h over the good surface.
+    Around each station h = c0 + c1 s + c2 s^2 + (c3 + c4 s) b + c5 b^2 is fitted; the ridge lies at b = -c3 / (2 c5).
+    """
+    feet = cluster.points - cluster.heights_mm[:, None] * cluster.normals
+    s_all = stations.arc_of(feet)
+    offsets = feet - stations.at(np.clip(s_all, 0, stations.length_mm))
+    tangents = stations.tangents(np.clip(s_all, 0, stations.length_mm))
+    sides = np.cross(cluster.normals, tangents)
+    b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
+    step = stations.length_mm / max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
+    arcs = np.arange(0.0 if stations.closed else 0.5 * step, stations.length_mm - 1e-9, step)
+    window, across = 0.9 * width, 0.5 * width * reach
+    found = []
+    for arc in arcs:
+        away = s_all - arc
+        if stations.closed:
+            away -= stations.length_mm * np.round(away / stations.length_mm)
+        used = (np.abs(away) < window) & (np.abs(b_all) < across)
         if used.sum() < 12:
             continue
-        s, b, h = s[used], b[used], h[used]
-        weights = (1 - (np.abs(s) / (0.9 * width)) ** 3) ** 3
-        design = np.column_stack([np.ones_like(s), s, b, s * b, b * b, s * s]) * np.sqrt(weights)[:, None]
-        try:
-            fit = np.linalg.lstsq(design, h * np.sqrt(weights), rcond=1e-8)[0]
-        except np.linalg.LinAlgError:
-            continue
-        lateral = -fit[2] / (2 * fit[4]) if fit[4] < 0 else np.average(b, weights=weights * h)
+        s, b, h = away[used], b_all[used], cluster.heights_mm[used]
+        weights = (1 - (np.abs(s) / window) ** 3) ** 3
+        design = np.column_stack([np.ones_like(s), s, s * s, b, s * b, b * b])
+        root = np.sqrt(weights)
+        c, _, rank, _ = np.linalg.lstsq(design * root[:, None], h * root, rcond=1e-9)
+        curved = rank == 6 and c[5] < 0
+        lateral = -c[3] / (2 * c[5]) if curved else np.average(b, weights=weights * h)
         lateral = float(np.clip(lateral, -0.6 * across, 0.6 * across))
-        base = place + np.average((local[used] @ up), weights=weights) * up
-        feet.append(base + lateral * side)
-        normals.append(up)
-        heights.append(fit[0] + fit[2] * lateral + fit[4] * lateral**2)
-    if len(feet) < 2:
+        tangent = stations.tangents(np.array([arc]))[0]
+        up = (weights[:, None] * cluster.normals[used]).sum(axis=0)
+        up -= (up @ tangent) * tangent
+        up /= np.linalg.norm(up)
+        side = np.cross(up, tangent)
+        place = stations.at(np.array([arc]))[0]
+        foot = place + np.average((offsets[used] * up).sum(axis=1), weights=weights) * up + lateral * side
+        found.append((foot, up, c[0] + c[3] * lateral + c[5] * lateral**2))
+    if len(found) < 2:
         raise DegenerateError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
-    del inner
-    return np.array(feet), np.array(normals), np.array(heights)
+    places, normals, heights = (np.array(column) for column in zip(*found, strict=True))
+    return places, normals, heights
 
 
 def _ends(cluster: Cluster, ridge: _Stations) -> tuple[float, float]:

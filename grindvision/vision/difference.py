@@ -32,6 +32,9 @@ Flags = NDArray[np.bool_]
 MOST_CHANGED = 0.4
 """Share of the common surface that may differ; above, the test scan shows another part."""
 
+MOST_OPEN = np.radians(130)
+"""Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
+
 
 @dataclass(frozen=True)
 class Cluster:
@@ -142,6 +145,8 @@ def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_su
     suspicious = (surfels.normals * normals).sum(axis=1) < 0.6
     candidates = shown & (np.nan_to_num(signed) > level)
     candidates &= ~suspicious | _in_front(good, seen_from(sample, back), surfels.points, size)
+    asked = np.flatnonzero(candidates)
+    candidates[asked] = _surrounded(good, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked])
     clusters = _clusters(test, good, candidates, signed, level, normals, least_surfels)
     return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
 
@@ -203,6 +208,13 @@ def _in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: flo
     return inside & np.isfinite(window) & (asked_depths < window)
 
 
+def _surrounded(good: Surfels, feet: Floats, normals: Floats) -> Flags:
+    """Whether the sample's surface lies all around these feet (N, 3); at a rim there is nothing to compare with."""
+    reach = 2.5 * good.grid.size_mm
+    around = within_radius(build_cells(good.points, reach), feet, reach)
+    return _largest_gaps(good.points, feet, normals, around.starts, around.indices) < MOST_OPEN
+
+
 def _clusters(
     test: Scan, good: Surfels, candidates: Flags, signed: Floats, level: Floats, normals: Floats, least: int
 ) -> tuple[Cluster, ...]:
@@ -248,6 +260,30 @@ def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals
     peak = float(np.quantile(heights[standing], 0.98))
     volume = area * float(np.mean(signed[members]))
     return Cluster(points[standing], heights[standing], up[standing], size, area, volume, peak)
+
+
+@njit(cache=True, nogil=True)
+def _largest_gaps(points, feet, normals, starts, indices):
+    """Largest angle (N,) about each foot's normal between successive neighbours."""
+    gaps = np.full(len(feet), 2 * np.pi)
+    for f in range(len(feet)):
+        count = starts[f + 1] - starts[f]
+        if count < 4:
+            continue
+        n = normals[f]
+        u = np.array([n[1], -n[0], 0.0]) if abs(n[2]) < 0.9 else np.array([0.0, n[2], -n[1]])
+        u /= np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        v = np.array([n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]])
+        angles = np.empty(count)
+        for k in range(count):
+            d = points[indices[starts[f] + k]] - feet[f]
+            angles[k] = np.arctan2(v[0] * d[0] + v[1] * d[1] + v[2] * d[2], u[0] * d[0] + u[1] * d[1] + u[2] * d[2])
+        angles.sort()
+        gap = angles[0] + 2 * np.pi - angles[-1]
+        for k in range(1, count):
+            gap = max(gap, angles[k] - angles[k - 1])
+        gaps[f] = gap
+    return gaps
 
 
 @njit(cache=True, nogil=True)
