@@ -1,7 +1,7 @@
 """Runs chapters, saves figures and tables, keeps the scoreboard, builds the HTML book."""
 
-from grindvision.book.figures import save_figure, save_scene, save_table
 from grindvision.book.answers import answer, scoreboard, verdicts
+from grindvision.book.figures import save_figure, save_scene, save_table
 from grindvision.book.session import COLOURS, fast, provenance, start
 
 __all__ = [

@@ -10,7 +10,8 @@ from pathlib import Path
 from grindvision.book.places import NOTEBOOKS, ROOT, SITE
 from grindvision.errors import GrindvisionError
 
-_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "LICENSE-TEXT", "CITATION.cff", "data/README.md")
+_TEXTS = ("data/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+_LINKED = ("LICENSE", "LICENSE-TEXT", "CITATION.cff", "environment.txt")
 
 
 def build_site(build: Path, figures: Path, notebooks: Path = NOTEBOOKS, site: Path = SITE) -> Path:
@@ -53,20 +54,21 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path) -> No
     """Lay out the sources like the checkout, so that every relative link means the same in both."""
     shutil.rmtree(sources, ignore_errors=True)
     shutil.copytree(figures, sources / "figures")
+    for table in set(sources.glob("figures/*.md")) - {sources / "figures" / "scoreboard.md"}:
+        table.write_text("---\norphan: true\n---\n" + table.read_text(encoding="utf-8"), encoding="utf-8")
     (sources / "notebooks").mkdir()
     chapters = sorted(notebooks.glob("[0-9][0-9]_*.ipynb"))
     for chapter in chapters:
         copy = executed / chapter.name
         shutil.copyfile(copy if copy.exists() else chapter, sources / "notebooks" / chapter.name)
-    for page in filter(lambda page: (ROOT / page).exists(), _PAGES):
+    texts = [page for page in _TEXTS if (ROOT / page).exists()]
+    for page in (*texts, *(page for page in _LINKED if (ROOT / page).exists())):
         (sources / page).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(ROOT / page, sources / page)
     front = (ROOT / "README.md").read_text(encoding="utf-8")
     chapter_list = _contents("Chapters", [f"notebooks/{chapter.stem}" for chapter in chapters])
-    rest = _contents(
-        "The book", ["Scoreboard <figures/scoreboard>", "Contributing <CONTRIBUTING>", "Changes <CHANGELOG>"]
-    )
-    (sources / "index.md").write_text(f"{front}\n{chapter_list}\n{rest}", encoding="utf-8")
+    about = _contents("The book", ["figures/scoreboard", *(text.removesuffix(".md") for text in texts)])
+    (sources / "index.md").write_text(f"{front}\n{chapter_list}\n{about}", encoding="utf-8")
 
 
 def _contents(caption: str, pages: list[str]) -> str:

@@ -6,7 +6,7 @@ project_copyright = "grindvision contributors, CC BY 4.0"
 
 extensions = ["myst_nb", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
 exclude_patterns = ["**.ipynb_checkpoints"]
-suppress_warnings = ["toc.not_included", "myst.xref_missing", "config.cache"]
+suppress_warnings = ["myst.xref_missing", "config.cache"]
 
 nb_execution_mode = "off"
 nb_ipywidgets_js = {}
