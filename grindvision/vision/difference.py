@@ -110,7 +110,7 @@ def difference_paper(
     return distances**2 > threshold_mm if squared else distances > threshold_mm
 
 
-def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_surfels: int = 8) -> Difference:
+def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_surfels: int = 10) -> Difference:
     """Where the test part stands out of the sample by more than the level of detection.
 
     Args:
@@ -142,7 +142,7 @@ def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_su
         raise DegenerateError(
             f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
         )
-    suspicious = (surfels.normals * normals).sum(axis=1) < 0.6
+    suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
     candidates = shown & (np.nan_to_num(signed) > level)
     candidates &= ~suspicious | _in_front(good, seen_from(sample, back), surfels.points, size)
     asked = np.flatnonzero(candidates)
@@ -228,10 +228,12 @@ def _clusters(
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, around.indices)), shape=(len(chosen),) * 2)
     number, labels = connected_components(graph, directed=False)
     strong = np.bincount(labels, signed[chosen] > 2 * level[chosen], number)
+    dense = np.bincount(labels, test.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
+    usual = np.median(test.surfels.counts)
     pieces = []
     volumes = np.bincount(labels, signed[chosen], number)
     for label in np.argsort(-volumes, kind="stable"):
-        if strong[label] < least or volumes[label] < 0.05 * volumes.max():
+        if strong[label] < least or volumes[label] < 0.05 * volumes.max() or dense[label] < 0.4 * usual:
             continue
         pieces.append(_piece(test, good, chosen[labels == label], signed, normals))
     return tuple(piece for piece in pieces if piece is not None)
