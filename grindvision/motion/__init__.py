@@ -12,7 +12,7 @@ _HOMES = {
     "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
     "follow": ("JointPath", "follow_trajectory", "start_angles"),
     "plan": ("Motion", "plan_motion"),
-    "programme": ("SUFFIXES", "csv_text", "json_content", "urscript", "write_programme"),
+    "programme": ("SUFFIXES", "UR_JOINTS", "csv_text", "json_content", "urscript", "write_programme"),
     "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
     "sender": ("UR_PORT", "Delivery", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),

@@ -1,0 +1,112 @@
+"""The part of a command that turns a trajectory into a robot programme: ``--robot``, ``--program`` and their kin."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from grindvision.cli.detect import read_pose
+from grindvision.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from grindvision.motion import Motion, Robot, Trajectory
+
+
+@dataclass(frozen=True)
+class RobotJob:
+    """What was asked for: the robot with its torch, the format of the programme, and where everything stands (mm)."""
+
+    robot: Robot
+    form: str
+    T_base_scanner: np.ndarray
+    torch_speed_mm_s: float
+    table_top_mm: float
+
+    def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
+        """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
+        import numpy as np
+
+        from grindvision.geometry import move_points
+        from grindvision.motion import plan_motion, scanned
+
+        return plan_motion(
+            self.robot,
+            trajectory.moved(self.T_base_scanner),
+            np.random.default_rng(0),
+            tool_speed_mm_s=self.torch_speed_mm_s,
+            obstacles=[scanned("work", move_points(self.T_base_scanner, points))],
+            table_top_mm=self.table_top_mm,
+        )
+
+    def write(self, motion: Motion, folder: Path) -> str:
+        """Write ``program`` with the format's ending into the folder; returns the file's name."""
+        from grindvision.motion import SUFFIXES, write_programme
+
+        name = "program" + SUFFIXES[self.form]
+        write_programme(motion, folder / name, self.form)
+        return name
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that ask for a robot's programme."""
+    group = parser.add_argument_group("robot programme")
+    group.add_argument("--robot", metavar="ur3|FILE.urdf", help="arm that carries the torch; adds DIR/program.*")
+    group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default tool0)")
+    group.add_argument("--program", choices=("csv", "json", "urscript"), help="format of the programme (default csv)")
+    group.add_argument("--scanner-pose", metavar="FILE.json", help="4x4 matrix T_base_scanner, bare or under that key")
+    group.add_argument("--torch-speed", type=float, metavar="MM_S", help="speed along the seam (default 8 mm/s)")
+    group.add_argument("--table-top", type=float, metavar="MM", help="height of the table in the base (default 0 mm)")
+
+
+def robot_job(options: argparse.Namespace) -> RobotJob | None:
+    """The job of the command's options, or None when no robot is asked for; refuses what cannot work before any work.
+
+    Raises:
+        InputError: an option that needs ``--robot`` without it, or a robot without ``--scanner-pose``.
+        FileError: the robot's file or the pose cannot be used. NotRigidError: the pose is no rigid transform.
+    """
+    needs_robot = ("flange", "program", "scanner_pose", "torch_speed", "table_top")
+    if options.robot is None:
+        lonely = [name for name in needs_robot if getattr(options, name) is not None]
+        if lonely:
+            raise InputError(f"--{lonely[0].replace('_', '-')} is for a robot's programme; give --robot as well")
+        return None
+    if options.scanner_pose is None:
+        raise InputError("--robot needs --scanner-pose: where the scanner stood in the robot's base frame")
+    from grindvision.motion import UR_JOINTS, ur3, urdf_robot, welding_torch
+
+    T_base_scanner = read_pose(options.scanner_pose)
+    if options.robot == "ur3":
+        if options.flange is not None:
+            raise InputError("--flange is for a URDF file; the flange of ur3 is known")
+        robot = ur3(welding_torch())
+    else:
+        robot = urdf_robot(options.robot, welding_torch(), flange=options.flange or "tool0")
+    form = options.program or "csv"
+    if form == "urscript" and robot.joints != UR_JOINTS:
+        raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript; choose csv or json")
+    speed = 8.0 if options.torch_speed is None else options.torch_speed
+    if not 0 < speed < float("inf"):
+        raise InputError(f"--torch-speed is {speed:g} mm/s; give a number above 0")
+    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0)
+
+
+def motion_facts(motion: Motion) -> dict[str, Any]:
+    """What report.json says about the motion."""
+    import numpy as np
+
+    first, second = motion.clearance.nearest[motion.clearance.tightest]
+    return {
+        "robot": motion.robot.name,
+        "position_error_mm": motion.path.position_error_mm.max(),
+        "angle_error_deg": np.degrees(motion.path.angle_error_rad.max()),
+        "clearance_mm": motion.clearance.least_mm,
+        "clearance_between": [first, second],
+        "duration_s": motion.timing.time_s[-1],
+        "torch_speed_mm_s": motion.timing.asked_speed_mm_s,
+        "steady_share": motion.timing.steady_share,
+    }
