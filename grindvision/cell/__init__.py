@@ -13,6 +13,7 @@ from grindvision.cell.calibration_scene import (
 from grindvision.cell.experiment4 import Experiment4Twin, PrintedPath, experiment4_twin, printed_path, twin_part
 from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene, scanned_pair
+from grindvision.cell.height_target import HEIGHT_MM, POSITIONS_MM, flat_plate, height_sighting, height_target
 from grindvision.cell.rays import Target
 from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
 from grindvision.cell.scanners import DepthCamera, Scan, Scanner, Sighting, StructuredLightScanner
@@ -23,7 +24,9 @@ from grindvision.cell.weld_pieces import KINDS, Groove, WeldPiece, weld_piece
 from grindvision.cell.weld_scene import WeldScene, weld_scene
 
 __all__ = [
+    "HEIGHT_MM",
     "KINDS",
+    "POSITIONS_MM",
     "SOURCES",
     "Bead",
     "CalibrationExperiment",
@@ -50,8 +53,11 @@ __all__ = [
     "calibration_plan",
     "directions_seeing",
     "experiment4_twin",
+    "flat_plate",
     "grinding_part",
     "grinding_scene",
+    "height_sighting",
+    "height_target",
     "measure_sphere",
     "measured",
     "misaligned_tracker",
