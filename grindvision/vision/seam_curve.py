@@ -1,0 +1,206 @@
+"""A curve along a seam: evenly spaced stations with a frame each, smoothing along it, and the cloud laid straight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solveh_banded
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SeamCurve:
+    """Stations (S, 3) in mm, ``step_mm`` apart, with unit vectors along, across (to the left) and up (S, 3) each."""
+
+    stations: Floats
+    step_mm: float
+    along: Floats
+    across: Floats
+    up: Floats
+
+    @property
+    def length_mm(self) -> float:
+        """Length from the first to the last station."""
+        return self.step_mm * (len(self.stations) - 1)
+
+    def __len__(self) -> int:
+        return len(self.stations)
+
+    def __str__(self) -> str:
+        return f"curve of {len(self)} stations, {self.length_mm:.1f} mm long"
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Points near a curve in its coordinates, mm: ``along``, ``across`` and ``up`` (K,); ``index`` (K,) into the cloud."""
+
+    index: Integers
+    along: Floats
+    across: Floats
+    up: Floats
+
+
+def smooth_along(
+    values: ArrayLike, weights: ArrayLike, length_mm: float, step_mm: float, robust: bool = False
+) -> Floats:
+    """Whittaker smoothing of evenly spaced values (S, K): least squares with penalised second differences.
+
+    Waves longer than about ``2 pi length_mm`` pass. Values of weight zero are bridged, ends continued straight. ``robust``
+    lowers the weight of values that stand out (Tukey's biweight).
+
+    Args:
+        values: (S,) or (S, K).
+        weights: (S,), not negative.
+    """
+    values = np.asarray(values, dtype=float)
+    columns = values.reshape(len(values), -1)
+    base = np.asarray(weights, dtype=float)
+    base = base / max(base.max(), 1e-300)
+    stiffness = (length_mm / step_mm) ** 4
+    size = len(columns)
+    bands = np.zeros((3, size))
+    for offset, factor in enumerate((1.0, -2.0, 1.0)):
+        bands[2, offset : size - 2 + offset] += factor**2
+        if offset < 2:
+            bands[1, 1 + offset : size - 1 + offset] += -2.0
+    bands[0, 2:] += 1.0
+    result = np.empty_like(columns)
+    for k in range(columns.shape[1]):
+        weight = base.copy()
+        for _ in range(5 if robust else 1):
+            system = stiffness * bands
+            system[2] += weight + 1e-9
+            result[:, k] = solveh_banded(system, weight * columns[:, k], check_finite=False)
+            off = np.abs(columns[:, k] - result[:, k])
+            scale = 4.7 * 1.4826 * np.median(off[base > 0]) if (base > 0).any() else 0.0
+            weight = base * np.clip(1 - (off / max(scale, 1e-9)) ** 2, 0, 1) ** 2
+    return result.reshape(values.shape)
+
+
+def build_curve(path: Floats, up: Floats, step_mm: float) -> SeamCurve:
+    """Curve through a smooth path (M, 3), resampled every ``step_mm``.
+
+    Args:
+        path: points in order.
+        up: (M, 3) or (3,) directions that become ``up`` once turned perpendicular to the path.
+    """
+    up = np.broadcast_to(up, path.shape)
+    lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    count = max(int(round(lengths[-1] / step_mm)), 3) + 1
+    at = np.linspace(0, lengths[-1], count)
+    stations = np.stack([np.interp(at, lengths, path[:, k]) for k in range(3)], axis=1)
+    along = _unit(np.gradient(stations, axis=0))
+    rise = np.stack([np.interp(at, lengths, up[:, k]) for k in range(3)], axis=1)
+    rise = _unit(rise - along * np.einsum("ij,ij->i", rise, along)[:, None])
+    return SeamCurve(stations, float(lengths[-1] / (count - 1)), along, np.cross(rise, along), rise)
+
+
+def extended(curve: SeamCurve, first_mm: float, last_mm: float, base_mm: float) -> SeamCurve:
+    """Curve continued by ``first_mm`` before its start and ``last_mm`` behind its end.
+
+    Each end goes on with the bend that it shows over its last ``base_mm``.
+    """
+    count = min(len(curve), max(int(base_mm / curve.step_mm), 4))
+    head = _continued(curve.stations[:count][::-1], curve.up[:count][::-1], first_mm, curve.step_mm)
+    tail = _continued(curve.stations[-count:], curve.up[-count:], last_mm, curve.step_mm)
+    stations = np.concatenate([head[0][::-1], curve.stations, tail[0]])
+    return build_curve(stations, np.concatenate([head[1][::-1], curve.up, tail[1]]), curve.step_mm)
+
+
+def _continued(stations: Floats, up: Floats, reach_mm: float, step_mm: float) -> tuple[Floats, Floats]:
+    """New stations and up directions (E, 3) behind the last one: a parabola through the stations, up turning evenly."""
+    behind = np.arange(1, int(reach_mm / step_mm) + 1) * step_mm
+    at = (np.arange(len(stations)) - len(stations) + 1) * step_mm
+    bend = np.linalg.lstsq(np.column_stack([at, at**2]), stations - stations[-1], rcond=None)[0]
+    turn = np.linalg.lstsq(at[:, None], up - up[-1], rcond=None)[0]
+    return stations[-1] + np.column_stack([behind, behind**2]) @ bend, up[-1] + behind[:, None] @ turn
+
+
+def lay_straight(
+    points: Floats, T_field_cloud: Floats, curve: SeamCurve, reach_mm: float, below_mm: float, above_mm: float
+) -> Strip:
+    """Points (N, 3) within ``reach_mm`` across the curve and ``-below_mm`` to ``above_mm`` of it, in its coordinates.
+
+    The curve is in the field frame. A point belongs to the nearest place of the curve.
+    """
+    cell = max(curve.step_mm, reach_mm / 12)
+    corner = curve.stations[:, :2].min(axis=0) - 1.5 * reach_mm
+    shape = np.ceil((curve.stations[:, :2].max(axis=0) + 1.5 * reach_mm - corner) / cell).astype(int) + 1
+    nearest = _paint_nearest(curve.stations, corner, cell, shape[0], shape[1], 1.3 * reach_mm)
+    index, place = _curve_coordinates(
+        np.ascontiguousarray(points, dtype=float),
+        np.ascontiguousarray(T_field_cloud, dtype=float),
+        nearest,
+        corner,
+        cell,
+        curve.stations,
+        curve.along,
+        curve.across,
+        curve.up,
+        curve.step_mm,
+        np.array([reach_mm, -below_mm, above_mm]),
+    )
+    return Strip(index, place[:, 0], place[:, 1], place[:, 2])
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+@njit(cache=True, nogil=True)
+def _paint_nearest(stations, corner, cell, rows, columns, reach):
+    """Index of the nearest station (by x and y) of every cell, -1 beyond the reach."""
+    nearest = np.full((rows, columns), -1, np.int64)
+    distance = np.full((rows, columns), np.inf)
+    span = int(reach / cell) + 1
+    for k in range(len(stations)):
+        x, y = (stations[k, 0] - corner[0]) / cell, (stations[k, 1] - corner[1]) / cell
+        for i in range(max(int(x) - span, 0), min(int(x) + span + 1, rows)):
+            for j in range(max(int(y) - span, 0), min(int(y) + span + 1, columns)):
+                squared = (i + 0.5 - x) ** 2 + (j + 0.5 - y) ** 2
+                if squared < distance[i, j] and squared * cell * cell <= reach * reach:
+                    distance[i, j] = squared
+                    nearest[i, j] = k
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _curve_coordinates(points, frame, nearest, corner, cell, stations, along, across, up, step, limits):
+    rows, columns = nearest.shape
+    kept = 0
+    for counting in (True, False):
+        if not counting:
+            index, place = np.empty(kept, np.int64), np.empty((kept, 3))
+            kept = 0
+        for p in range(len(points)):
+            px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+            x = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz + frame[0, 3]
+            y = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz + frame[1, 3]
+            i, j = int((x - corner[0]) / cell), int((y - corner[1]) / cell)
+            if x < corner[0] or y < corner[1] or i >= rows or j >= columns or nearest[i, j] < 0:
+                continue
+            z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
+            k = nearest[i, j]
+            for _ in range(12):
+                dx, dy, dz = x - stations[k, 0], y - stations[k, 1], z - stations[k, 2]
+                ahead = dx * along[k, 0] + dy * along[k, 1] + dz * along[k, 2]
+                if ahead > 0.6 * step and k < len(stations) - 1:
+                    k += 1
+                elif ahead < -0.6 * step and k > 0:
+                    k -= 1
+                else:
+                    break
+            side = dx * across[k, 0] + dy * across[k, 1] + dz * across[k, 2]
+            rise = dx * up[k, 0] + dy * up[k, 1] + dz * up[k, 2]
+            if abs(side) > limits[0] or rise < limits[1] or rise > limits[2] or abs(ahead) > 2 * step:
+                continue
+            if not counting:
+                index[kept] = p
+                place[kept, 0], place[kept, 1], place[kept, 2] = k * step + ahead, side, rise
+            kept += 1
+    return index, place

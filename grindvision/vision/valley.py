@@ -1,0 +1,168 @@
+"""Valleys of a height field: what a closing fills, cut into connected pieces, each with the path along its bottom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from grindvision.vision.height_field import HeightField, closed, rasterise, smoothed
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+#: Gaussian before the closing, as a share of the disc's radius.
+SMOOTHING_SHARE = 0.13
+#: Cells of the raster per radius of the disc, where the cloud is dense enough.
+CELLS_PER_RADIUS = 12
+#: A valley ends where its depth falls below this share of the deepest place.
+FLANK_SHARE = 0.3
+#: A groove is at least so deep for its width, and so long for its width; waviness of a plate is far flatter.
+LEAST_RELIEF, LEAST_ASPECT = 0.12, 1.5
+#: The middle of a valley is at least so many cells from its rim: what is narrower belongs to a finer raster.
+LEAST_INNER_CELLS = 2.0
+#: A valley must stand out of the residue that noise and waviness leave everywhere.
+LEAST_CONTRAST = 4.0
+#: Valleys looked at, deepest first, in one height field.
+MOST_VALLEYS = 6
+#: Share of the greatest volume at which a smaller disc is preferred to a larger one.
+ENOUGH_VOLUME = 0.8
+
+_EIGHT = np.ones((3, 3), dtype=bool)
+
+
+@dataclass(frozen=True)
+class Valley:
+    """One connected valley: its cells (R, C), its ``path`` (M, 3) along the bottom at the level of the surface around.
+
+    The path is in the field frame, mm. ``depth_mm`` is the depth below the closed surface over most of the valley,
+    ``width_mm`` its width between the flanks, ``volume_mm3`` what the closing fills.
+    """
+
+    cells: Flags
+    path: Floats
+    depth_mm: float
+    width_mm: float
+    volume_mm3: float
+
+    def __str__(self) -> str:
+        return f"valley {self.width_mm:.1f} mm wide, {self.depth_mm:.1f} mm deep, {self.volume_mm3:.0f} mm3"
+
+
+@dataclass(frozen=True)
+class _Piece:
+    cells: Flags
+    depth_mm: float
+    width_mm: float
+    volume_mm3: float
+
+
+def find_valleys(
+    points: Floats, T_field_cloud: Floats, spacing_mm: float, radius_mm: float | None = None
+) -> tuple[list[Valley], HeightField | None]:
+    """Valleys of a cloud (N, 3) seen along z of the field frame, largest volume first, and the raster they refer to.
+
+    Args:
+        points: finite points in mm.
+        T_field_cloud: frame whose z axis is the viewing direction.
+        spacing_mm: typical distance of neighbouring points.
+        radius_mm: radius of the closing's disc, more than half the groove's width; by default it doubles from eight
+            spacings on and the smallest that fills the valley is kept.
+    """
+    best: tuple[float, list[_Piece], HeightField, Floats, Floats] | None = None
+    for radius in [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm):
+        cell = max(1.2 * spacing_mm, radius / CELLS_PER_RADIUS)
+        field = rasterise(points, T_field_cloud, cell)
+        surface = closed(smoothed(field, SMOOTHING_SHARE * radius), radius / cell)
+        depth = np.nan_to_num(surface - smoothed(field, SMOOTHING_SHARE * radius))
+        pieces = _pieces(depth, field)
+        volume = max((piece.volume_mm3 for piece in pieces), default=0.0)
+        if volume > 0 and (best is None or best[0] < ENOUGH_VOLUME * volume):
+            best = volume, pieces, field, surface, depth
+    if best is None:
+        return [], None
+    _, pieces, field, surface, depth = best
+    valleys = [
+        Valley(piece.cells, _path(piece, surface, depth, field), piece.depth_mm, piece.width_mm, piece.volume_mm3)
+        for piece in sorted(pieces, key=lambda piece: -piece.volume_mm3)
+    ]
+    return valleys, field
+
+
+def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[float]:
+    spans = np.ptp(points @ T_field_cloud[:2, :3].T, axis=0)
+    radii = [8 * spacing_mm]
+    while 2 * radii[-1] < spans.min() / 3:
+        radii.append(2 * radii[-1])
+    return radii
+
+
+def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
+    """Cut the depth map into valleys: take the deepest, mark what belongs to it, go on with the rest."""
+    filled = field.filled
+    level = LEAST_CONTRAST * float(np.median(depth[filled]))
+    left, pieces = depth.copy(), []
+    for _ in range(MOST_VALLEYS):
+        peak = float(left.max())
+        if peak <= max(level, 1e-9):
+            break
+        names, count = ndimage.label(left > FLANK_SHARE * peak, _EIGHT)
+        volumes = ndimage.sum_labels(left, names, np.arange(1, count + 1))
+        for name in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS] + 1:
+            piece = _piece(names == name, depth, field)
+            if piece is not None:
+                pieces.append(piece)
+        left[ndimage.binary_dilation(names > 0, _EIGHT, iterations=2)] = 0
+    return pieces
+
+
+def _piece(cells: Flags, depth: Floats, field: HeightField) -> _Piece | None:
+    """Measure a piece; nothing where it is no long narrow valley."""
+    inner = ndimage.distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]
+    width = (2 * float(inner.max()) - 1) * field.cell_mm
+    area = float(cells.sum()) * field.cell_mm**2
+    deep = float(np.percentile(depth[cells], 75))
+    if inner.max() < LEAST_INNER_CELLS or area < LEAST_ASPECT * width**2 or deep < LEAST_RELIEF * width:
+        return None
+    return _Piece(cells, deep, width, float(depth[cells].sum()) * field.cell_mm**2)
+
+
+def _path(piece: _Piece, surface: Floats, depth: Floats, field: HeightField) -> Floats:
+    """Path (M, 3) from one end of the piece to the other that keeps to the deepest cells."""
+    rows, columns = np.nonzero(piece.cells)
+    index = np.full(piece.cells.shape, -1)
+    index[rows, columns] = np.arange(len(rows))
+    nodes = np.column_stack([field.positions(rows, columns), surface[rows, columns]])
+    local = ndimage.maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
+    share = (depth / np.maximum(local, 1e-9))[rows, columns]
+    starts, ends = [], []
+    for step_row, step_column in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        to_rows, to_columns = rows + step_row, columns + step_column
+        inside = (to_rows < index.shape[0]) & (to_columns >= 0) & (to_columns < index.shape[1])
+        there = np.full(len(rows), -1)
+        there[inside] = index[to_rows[inside], to_columns[inside]]
+        starts.append(np.flatnonzero(there >= 0))
+        ends.append(there[there >= 0])
+    start, end = np.concatenate(starts), np.concatenate(ends)
+    length = np.linalg.norm(nodes[start] - nodes[end], axis=1)
+    cost = length / (0.02 + ((share[start] + share[end]) / 2) ** 2)
+
+    def graph(weights: Floats) -> coo_matrix:
+        return coo_matrix((weights, (start, end)), shape=(len(nodes), len(nodes))).tocsr()
+
+    first = _farthest(dijkstra(graph(length), directed=False, indices=0))
+    last = _farthest(dijkstra(graph(length), directed=False, indices=first))
+    _, before = dijkstra(graph(cost), directed=False, indices=first, return_predecessors=True)
+    way = [last]
+    while way[-1] != first:
+        way.append(int(before[way[-1]]))
+    return nodes[way[::-1]]
+
+
+def _farthest(distances: Floats) -> int:
+    return int(np.where(np.isfinite(distances), distances, -1).argmax())
