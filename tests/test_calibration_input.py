@@ -11,7 +11,7 @@ from grindvision.arm import read_arm, write_arm
 from grindvision.calibration import Measurements, Options, calibrate, cross_validated, read_measurements
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError, UnitError
-from tests.calibration_rig import er3a, rig
+from tests.calibration_rig import er3a, rig, ur5
 
 
 def as_table(measurements: Measurements, split: bool = True) -> pd.DataFrame:
@@ -127,11 +127,17 @@ def test_a_joint_that_counts_the_other_way(rng):
 
 
 def test_another_arm(rng):
-    table = er3a().table.copy()
-    table[:, 0] *= -1
-    table[2, 1] = 500.0
     with pytest.raises(InputError, match="no arm of this structure fits"):
-        calibrate(rig(er3a(), rng).measurements, er3a().with_table(table))
+        calibrate(rig(er3a(), rng).measurements, ur5().first(4))
+
+
+def test_a_wrong_link_length_is_found_and_named(rng):
+    made = rig(er3a(), rng)
+    table = er3a().table.copy()
+    table[2, 1] = 300.0
+    result = calibrate(made.measurements, er3a().with_table(table))
+    assert result.arm.table[2, 1] == pytest.approx(made.cell.arm.table[2, 1], abs=0.3)
+    assert any("a3_mm moved by" in sentence for sentence in result.warnings)
 
 
 def test_wrong_rows_are_dropped_and_named(rng):

@@ -10,21 +10,30 @@ from scipy.spatial.transform import Rotation
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.coarse import coarse_start
-from grindvision.calibration.diagnosis import check_fit, check_measurements, without_copies
+from grindvision.calibration.diagnosis import (
+    SUSPICIOUS_MM,
+    check_fit,
+    check_measurements,
+    far_from_nominal,
+    without_copies,
+)
 from grindvision.calibration.estimate import (
+    SMALLEST_MM,
     Spreads,
     deviations,
     estimate_spreads,
     gauss_newton,
     noise_covariances,
-    prior_widths,
+    posterior_covariance,
     residuals_of,
     unit_sizes,
+    whitened_design,
 )
 from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, moved_cell, table_entries
 from grindvision.calibration.robust import consistent_rows
+from grindvision.calibration.starts import median_error
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.errors import InputError
 from grindvision.geometry import inverse
@@ -137,69 +146,86 @@ def calibrate(
     training = measurements.rows(fitted)
     coarse = start or coarse_start(training, arm, options.base_fixed).cell
     if options.variant == "paper":
-        cell, spreads = _linear_step(coarse, unknowns, training, options.tolerance)
-        kept, iterations, converged = np.ones(len(training), dtype=bool), 1, True
+        fit = _linear_step(coarse, unknowns, training, options.tolerance)
     else:
-        cell, spreads, kept, iterations, converged = _iterated(coarse, arm, unknowns, training, options)
-    warnings += check_fit(coarse, cell, training, kept, options.base_fixed)
-    if not converged:
+        fit = _iterated(coarse, arm, unknowns, training, options)
+    warnings += check_fit(coarse, fit.cell, training, fit.kept, options.base_fixed)
+    warnings += far_from_nominal(fit.cell.arm, arm)
+    if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
-    dropped = tuple(int(row) for row in fitted[~kept])
+    dropped = tuple(int(row) for row in fitted[~fit.kept])
     warnings += [f"left out, it contradicts the others: {measurements.label(row)}" for row in dropped]
-    used = training.rows(kept)
-    units = unit_sizes(used, unknowns)
-    whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(cell, used, spreads)))
-    design = design_matrix(cell, used.q_rad, used.scanner_mm, unknowns)
-    rows = (whitening @ design).reshape(-1, len(unknowns))
-    identifiability = analyse(rows, unknowns.names, units, options.worst_std)
-    priors = (
-        np.diag(units / prior_widths(unknowns, spreads)) if options.variant == "ours" else np.zeros((0, len(units)))
-    )
-    information = np.vstack([rows * units, priors])
-    covariance = np.linalg.pinv(information.T @ information, rcond=1e-15, hermitian=True) * np.outer(units, units)
+    used = training.rows(fit.kept)
+    rows = whitened_design(fit.cell, unknowns, used, fit.spreads)
     return Calibration(
-        cell,
+        fit.cell,
         coarse,
         unknowns,
-        _change(coarse, cell, unknowns),
-        covariance,
-        identifiability,
-        spreads,
+        _change(coarse, fit.cell, unknowns),
+        posterior_covariance(fit.cell, unknowns, used, fit.spreads),
+        analyse(rows, unknowns.names, unit_sizes(used, unknowns), options.worst_std),
+        fit.spreads,
         measurements,
         dropped,
-        iterations,
-        converged,
+        fit.iterations,
+        fit.converged,
         tuple(warnings),
     )
 
 
-def _iterated(
-    coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, options: Options
-) -> tuple[ScannerOnArm, Spreads, Flags, int, bool]:
-    spreads = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
-    cell, iterations, _ = gauss_newton(coarse, arm, unknowns, training, spreads, robust=options.robust, iterations=20)
-    kept = np.ones(len(training), dtype=bool)
+@dataclass(frozen=True)
+class _Fit:
+    cell: ScannerOnArm
+    spreads: Spreads
+    kept: Flags
+    iterations: int
+    converged: bool
+
+
+def _iterated(coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, options: Options) -> _Fit:
+    """Fit all rows; if some contradict the rest, begin again from a robust fit and leave them out."""
+    fit = _fit_rows(coarse, arm, unknowns, training, np.ones(len(training), dtype=bool), options)
+    if not options.robust:
+        return fit
+    agree = _consistent(fit, unknowns, training)
+    if agree.all() and median_error(fit.cell, training) <= SUSPICIOUS_MM:
+        return fit
+    rough = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
+    cell, steps, _ = gauss_newton(coarse, arm, unknowns, training, rough, robust=True, iterations=20)
+    agree = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, rough))
     for _ in range(6):
-        if options.robust:
-            now = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, spreads))
-            if _ and (now == kept).all():
-                break
-            kept = now
-        used = training.rows(kept)
-        residuals = residuals_of(cell, used)
-        rest = max(float(np.sqrt((residuals**2).mean())), 1e-9)
-        begin = replace(spreads, rest_mm=rest, joint_rad=rest / 1000)
-        spreads = estimate_spreads(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
-        cell, steps, converged = gauss_newton(cell, arm, unknowns, used, spreads)
-        iterations += steps
-        if not options.robust:
+        fit = _fit_rows(cell, arm, unknowns, training, agree, options)
+        fit, agree = replace(fit, iterations=fit.iterations + steps), _consistent(fit, unknowns, training)
+        if (agree == fit.kept).all():
             break
-    return cell, spreads, kept, iterations, converged
+    return fit
 
 
-def _linear_step(
-    coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float
-) -> tuple[ScannerOnArm, Spreads]:
+def _fit_rows(
+    start: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, kept: Flags, options: Options
+) -> _Fit:
+    """Gauss-Newton, the spreads that its residuals show, and Gauss-Newton with these."""
+    used = training.rows(kept)
+    spreads = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
+    cell, steps, _ = gauss_newton(start, arm, unknowns, used, spreads)
+    rest = max(float(np.sqrt((residuals_of(cell, used) ** 2).mean())), SMALLEST_MM)
+    begin = replace(spreads, rest_mm=rest, joint_rad=rest / 1000)
+    spreads = estimate_spreads(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
+    cell, more, converged = gauss_newton(cell, arm, unknowns, used, spreads)
+    return _Fit(cell, spreads, kept, steps + more, converged)
+
+
+def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements) -> Flags:
+    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out leaves more."""
+    noise = noise_covariances(fit.cell, training, fit.spreads)
+    design = design_matrix(fit.cell, training.q_rad, training.scanner_mm, unknowns)
+    covariance = posterior_covariance(fit.cell, unknowns, training.rows(fit.kept), fit.spreads)
+    pull = design @ covariance @ np.swapaxes(design, 1, 2)
+    expected = np.where(fit.kept[:, None, None], noise - 0.95 * pull, noise + pull)
+    return consistent_rows(residuals_of(fit.cell, training), expected)
+
+
+def _linear_step(coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float) -> _Fit:
     """Eqs 16-18: the generalised inverse of the stacked G_i, applied once to the stacked residuals."""
     design = design_matrix(coarse, training.q_rad, training.scanner_mm, unknowns).reshape(-1, len(unknowns))
     cell = moved_cell(
@@ -207,7 +233,8 @@ def _linear_step(
     )
     left = residuals_of(cell, training).ravel()
     freedom = max(len(left) - np.linalg.matrix_rank(design, tol=tolerance * np.linalg.norm(design, 2)), 1)
-    return cell, Spreads(max(float(np.sqrt(left @ left / freedom)), 1e-9), 0.0, np.inf, np.inf)
+    spreads = Spreads(max(float(np.sqrt(left @ left / freedom)), SMALLEST_MM), 0.0, np.inf, np.inf)
+    return _Fit(cell, spreads, np.ones(len(training), dtype=bool), 1, True)
 
 
 def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.arm import MdhArm
+from grindvision.arm import PARAMETERS, MdhArm
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm
+from grindvision.calibration.model import ScannerOnArm, entry_name
 from grindvision.calibration.starts import closed_form_error, median_error
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 
@@ -18,6 +18,9 @@ Flags = NDArray[np.bool_]
 
 #: A fit that leaves more than this is looked at twice; real arms and sphere scans leave a tenth of it.
 SUSPICIOUS_MM = 1.5
+
+#: No sound machine deviates more than this from its drawing.
+FAR_MM, FAR_RAD = 15.0, 0.05
 
 
 def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -> tuple[str, ...]:
@@ -102,6 +105,17 @@ def check_fit(
             " (modified, not standard DH), the joints' directions and zeros, and which joint carries the scanner"
         )
     return [f"the fit leaves {typical:.2f} mm in the median, much for a sphere scan: check table, units and pairing"]
+
+
+def far_from_nominal(arm: MdhArm, nominal: MdhArm) -> list[str]:
+    """Warn of table entries that no machine tolerance explains; the fit may be right, the nominal table is not."""
+    change = np.abs(arm.table - nominal.table)
+    sizes = np.where([name.endswith("_mm") for name in PARAMETERS], change / FAR_MM, change / FAR_RAD).ravel()
+    worst = int(np.argmax(sizes))
+    if sizes[worst] < 1:
+        return []
+    changed = f"{change.ravel()[worst]:.4g}"
+    return [f"{entry_name(worst)} moved by {changed} from the robot table, more than machines deviate: check the table"]
 
 
 def _check_units(measurements: Measurements, arm: MdhArm) -> None:

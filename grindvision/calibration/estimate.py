@@ -71,6 +71,23 @@ def prior_widths(unknowns: Unknowns, spreads: Spreads) -> Floats:
     return np.where(unknowns.in_table, widths, np.inf)
 
 
+def whitened_design(cell: ScannerOnArm, unknowns: Unknowns, measurements: Measurements, spreads: Spreads) -> Floats:
+    """Design matrix (3 M, K) whose rows are scaled to unit noise."""
+    design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns)
+    whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(cell, measurements, spreads)))
+    return (whitening @ design).reshape(-1, len(unknowns))
+
+
+def posterior_covariance(
+    cell: ScannerOnArm, unknowns: Unknowns, measurements: Measurements, spreads: Spreads
+) -> Floats:
+    """Covariance (K, K) of the unknowns from noise and priors; zero in directions that neither of them holds."""
+    units = unit_sizes(measurements, unknowns)
+    rows = whitened_design(cell, unknowns, measurements, spreads) * units
+    information = rows.T @ rows + np.diag((units / prior_widths(unknowns, spreads)) ** 2)
+    return np.linalg.pinv(information, rcond=1e-15, hermitian=True) * np.outer(units, units)
+
+
 def deviations(cell: ScannerOnArm, nominal: MdhArm, unknowns: Unknowns) -> Floats:
     """Deviation (K,) of the cell's table from the nominal one; zero for scanner and base, which have none."""
     values = np.zeros(len(unknowns))
