@@ -45,7 +45,7 @@ class CellGrid:
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """Neighbours of M queries: those of query i are ``indices[starts[i]:starts[i + 1]]``, nearest first.
+    """Neighbours of M queries: those of query i are ``indices[starts[i]:starts[i + 1]]``.
 
     ``squared_mm2`` holds their squared distances.
     """
@@ -114,9 +114,9 @@ def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integer
 
 
 def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: int | None = None) -> Neighbourhoods:
-    """All grid points within ``radius_mm`` of each query (M, 3), nearest first; the nearest ``most`` where given.
+    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest of them, in order.
 
-    The radius may not exceed the grid's cell size. A query that is itself a grid point is its own first neighbour.
+    The radius may not exceed the grid's cell size. A query that is itself a grid point is its own neighbour.
     """
     if radius_mm > grid.size_mm * (1 + 1e-12):
         raise InputError(
@@ -291,8 +291,11 @@ def _within_all(queries, radius, most, points, order, starts, table_keys, table_
                         if squared <= limit:
                             indices[used], squares[used] = p, squared
                             used += 1
+        if most < 0:
+            first[q + 1] = used
+            continue
         rank = np.argsort(squares[begin:used], kind="mergesort")
-        kept = len(rank) if most < 0 else min(len(rank), most)
+        kept = min(len(rank), most)
         here, here_squares = indices[begin:used].copy(), squares[begin:used].copy()
         for at in range(kept):
             indices[begin + at], squares[begin + at] = here[rank[at]], here_squares[rank[at]]

@@ -63,9 +63,9 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
     curve, closed, width = _walk(cluster)
     stations = _Stations(curve, closed)
-    for reach in (1.0, 0.8, 0.8):
-        stations = _Stations(_vertices(cluster, stations, width, reach)[0], closed)
-    feet, normals, heights = _vertices(cluster, stations, width, 0.8)
+    for _ in range(2):
+        stations = _Stations(_smoothed(_vertices(cluster, stations, width)[0], closed), closed)
+    feet, normals, heights = _vertices(cluster, stations, width)
     ridge = _Stations(feet + heights[:, None] * normals, closed)
     start, end = (0.0, ridge.length_mm) if closed else _ends(cluster, ridge)
     at = start + (end - start) * ((np.arange(points) + (0.0 if closed else 0.5)) / points)
@@ -213,7 +213,7 @@ def _directed(places: Floats) -> Floats:
     return places if places[0, 0] <= places[-1, 0] else places[::-1]
 
 
-def _vertices(cluster: Cluster, stations: _Stations, width: float, reach: float) -> tuple[Floats, Floats, Floats]:
+def _vertices(cluster: Cluster, stations: _Stations, width: float) -> tuple[Floats, Floats, Floats]:
     """Ridge over stations along the curve: feet (M, 3) on the good surface, its normals (M, 3), ridge heights (M,).
 
     Points are taken in the curve's own coordinates: arc length s, distance b across, height h over the good surface.
@@ -227,7 +227,7 @@ def _vertices(cluster: Cluster, stations: _Stations, width: float, reach: float)
     b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
     step = stations.length_mm / max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
     arcs = np.arange(0.0 if stations.closed else 0.5 * step, stations.length_mm - 1e-9, step)
-    window, across = 0.9 * width, 0.5 * width * reach
+    window, across = 1.2 * width, 0.6 * width
     found = []
     for arc in arcs:
         away = s_all - arc
@@ -256,6 +256,15 @@ def _vertices(cluster: Cluster, stations: _Stations, width: float, reach: float)
         raise DegenerateError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
     places, normals, heights = (np.array(column) for column in zip(*found, strict=True))
     return places, normals, heights
+
+
+def _smoothed(places: Floats, closed: bool) -> Floats:
+    """Places (M, 3) averaged with their neighbours in the ratio 1 : 2 : 1; ends of an open curve stay."""
+    before, after = np.roll(places, 1, axis=0), np.roll(places, -1, axis=0)
+    mean = (before + 2 * places + after) / 4
+    if not closed:
+        mean[[0, -1]] = places[[0, -1]]
+    return mean
 
 
 def _ends(cluster: Cluster, ridge: _Stations) -> tuple[float, float]:

@@ -10,6 +10,7 @@ scans does not show (shadows, outline) is not a difference.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,12 +158,20 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
     The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
     where no surfel lies within ``most_mm`` or the point is beside the surface.
     """
-    grid = good.grid
-    return _blended(
-        np.ascontiguousarray(points, dtype=float), float(most_mm), good.normals, good.counts.astype(float),
-        good.noise_mm, good.roughness_mm, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
-        grid.origin_mm, 1.0 / grid.size_mm,
-    )  # fmt: skip
+    grid, counts = good.grid, good.counts.astype(float)
+
+    def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
+        return _blended(
+            part, float(most_mm), good.normals, counts, good.noise_mm, good.roughness_mm, grid.points, grid.order,
+            grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
+        )  # fmt: skip
+
+    halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
+    with ThreadPoolExecutor(2) as pool:
+        heights, normals, variances = (
+            np.concatenate(column) for column in zip(*pool.map(blended, halves), strict=True)
+        )
+    return heights, normals, variances
 
 
 def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:

@@ -57,7 +57,9 @@ def _simple_histograms(points, normals, starts, indices):
         if count < 1:
             continue
         share = 100.0 / count
-        for at in range(starts[p] + 1, starts[p + 1]):
+        for at in range(starts[p], starts[p + 1]):
+            if indices[at] == p:
+                continue
             theta, alpha, phi = _pair_angles(points, normals, p, indices[at])
             histograms[p, _bin((theta + np.pi) / (2 * np.pi))] += share
             histograms[p, BINS + _bin((alpha + 1) / 2)] += share
@@ -71,7 +73,7 @@ def _weighted_histograms(simple, starts, indices, squared):
     sums = np.empty(3 * BINS)
     for p in range(len(simple)):
         sums[:] = 0.0
-        for at in range(starts[p] + 1, starts[p + 1]):
+        for at in range(starts[p], starts[p + 1]):
             if squared[at] == 0.0:
                 continue
             weight = 1.0 / squared[at]

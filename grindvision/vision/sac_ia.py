@@ -23,6 +23,9 @@ from grindvision.geometry import fit_rigid, move_points, rigid, small_motion
 
 Floats = NDArray[np.float64]
 
+COS_AGREE = float(np.cos(np.radians(15)))
+"""Cosine of the angle up to which two angles of a pair of correspondences agree."""
+
 
 @dataclass(frozen=True)
 class Keypoints:
@@ -129,16 +132,18 @@ def propose_poses(
     source: Keypoints,
     target: Keypoints,
     rng: np.random.Generator,
-    draws: int = 200_000,
+    batch: int = 50_000,
+    batches: int = 5,
     queries: int = 1500,
     similar: int = 3,
     kept: int = 40,
 ) -> tuple[Floats, Floats]:
-    """Likely poses T_target_source (K, 4, 4), best first, and the number of correspondences (K,) that agree with each.
+    """Likely poses T_target_source (K, 4, 4), best first, and the number of keypoints (K,) that agree with each.
 
     Steps 1-3 of section 3.3 made cheap: a sample is two points with their normals, which fix a pose; it is dropped
     unless the two distances agree within two spacings, the angles between normals within 15 degrees, and those of each
-    normal to the connecting line too. What is left is scored on all correspondences.
+    normal to the connecting line too. What is left is scored on a part of the correspondences, the best of it on all.
+    Batches of ``batch`` samples are drawn until the best pose has 1.5 times the votes of any other, ``batches`` at most.
 
     Raises:
         DegenerateError: too few keypoints, or no sample survives.
@@ -146,25 +151,30 @@ def propose_poses(
     if len(source) < 20 or len(target) < 20:
         raise DegenerateError(f"{len(source)} and {len(target)} keypoints are too few; take smaller voxels")
     chosen = _distinctive(source.features, queries, rng)
-    partners = most_similar(source.features[chosen], target.features, similar)
+    t = most_similar(source.features[chosen], target.features, similar).ravel()
     s = np.repeat(chosen, similar)
-    t = partners.ravel()
+    matches = (source.points[s], source.normals[s], target.points[t], target.normals[t])
+    part = tuple(column[: 300 * similar] for column in matches)
     spacing = max(source.spacing_mm, target.spacing_mm)
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
-    first, second = _agreeing_pairs(
-        source.points[s], source.normals[s], target.points[t], target.normals[t],
-        rng.integers(len(s), size=(draws, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, np.cos(np.radians(15)),
-    )  # fmt: skip
-    if len(first) == 0:
+    centre = source.points.mean(axis=0)
+    poses, votes = np.empty((0, 4, 4)), np.empty(0, dtype=np.int64)
+    for _ in range(batches):
+        first, second = _agreeing_pairs(
+            *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
+        )
+        found = _poses_of_pairs(*matches, first[:2000], second[:2000])
+        found = found[np.argsort(-_votes(found, *part, 3 * spacing, similar), kind="stable")[:150]]
+        poses = np.concatenate([poses, found])
+        votes = np.concatenate([votes, _votes(found, *matches, 3 * spacing, similar)])
+        order = np.argsort(-votes, kind="stable")
+        poses, votes = poses[order], votes[order]
+        _, best = distinct_poses(poses, votes, centre, 0.15 * extent, np.radians(20), 2)
+        if len(best) and best[0] > max(0.1 * len(chosen), 1.5 * best[1:].sum()):
+            break
+    if len(poses) == 0:
         raise DegenerateError("no two points of one scan fit any two of the other; are these scans of the same part?")
-    poses = _poses_of_pairs(
-        source.points[s], source.normals[s], target.points[t], target.normals[t], first[:4000], second[:4000]
-    )
-    votes = _votes(
-        poses, source.points[s], source.normals[s], target.points[t], target.normals[t], 3 * spacing, similar
-    )
-    order = np.argsort(-votes, kind="stable")
-    return distinct_poses(poses[order], votes[order], source.points.mean(axis=0), 0.03 * extent, np.radians(8), kept)
+    return distinct_poses(poses, votes, centre, 0.03 * extent, np.radians(8), kept)
 
 
 def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[np.int64]:
@@ -218,10 +228,10 @@ def _spread_samples(points: Floats, least: float, rng: np.random.Generator) -> t
 def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Up to ``count`` indices, those with unusual histograms preferred: a flat neighbourhood tells nothing."""
     if len(features) <= count:
-        return np.arange(len(features))
+        return rng.permutation(len(features))
     unusual = np.linalg.norm(features - np.median(features, axis=0), axis=1)
     weights = unusual + 0.1 * unusual.mean() + 1e-12
-    return np.sort(rng.choice(len(features), count, replace=False, p=weights / weights.sum()))
+    return rng.choice(len(features), count, replace=False, p=weights / weights.sum())
 
 
 @njit(cache=True, nogil=True)

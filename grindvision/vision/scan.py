@@ -47,12 +47,12 @@ class Scan:
         return f"{len(self.points):,} points, {self.surfels}, {len(self.keypoints):,} keypoints"
 
 
-def choose_resolution(points: ArrayLike, voxels: int = 5000) -> Resolution:
-    """Cell sizes for a scan (N, 3): about one surfel per 12 points, 40,000 at least where the points allow it, and about
+def choose_resolution(points: ArrayLike, voxels: int = 4000) -> Resolution:
+    """Cell sizes for a scan (N, 3): about one surfel per 14 points, 40,000 at least where the points allow it, and about
     ``voxels`` coarse cells."""
     points = check_points(points, "points", least=10)
     area = surface_area(points)
-    surfels = min(max(len(points) / 12, 40_000), len(points) / 2)
+    surfels = min(max(len(points) / 14, 40_000), len(points) / 2)
     return Resolution(float(np.sqrt(area / len(points))), float(np.sqrt(area / surfels)), float(np.sqrt(area / voxels)))
 
 

@@ -82,7 +82,7 @@ class VerifiedPose:
 def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float) -> Agreement:
     """Judge a pose on source points (N, 3) with normals (N, 3): agreement means a distance along the target's normal of
     at most ``within_mm`` and normals less than 45 degrees apart."""
-    indices, distances = nearest(target.grid, move_points(T_target_source, points), 4 * target.grid.size_mm)
+    indices, distances = nearest(target.grid, move_points(T_target_source, points), 3 * target.grid.size_mm)
     found = indices >= 0
     at = indices[found]
     moved = move_points(T_target_source, points[found])
@@ -94,7 +94,7 @@ def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source:
 
 
 def choose_pose(
-    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 4, sample: int = 1500
+    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 4, sample: int = 1200
 ) -> VerifiedPose:
     """Refine the first ``tried`` of ``poses`` (K, 4, 4), take the best, and make sure that no rival is as good.
 
@@ -201,6 +201,7 @@ class _Judge:
             ]
         )
         order = np.argsort(-rough, kind="stable")
+        order = order[rough[order] > 0.4 * rough.max(initial=0)]
         poses, _ = distinct_poses(poses[order], rough[order], self.centre, np.inf, np.radians(20), 4)
         return self.refined_all(poses)
 
