@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.book.places import figures_folder
 from grindvision.errors import InputError
 from grindvision.files import write_whole
+from grindvision.geometry import inverse
 from grindvision.motion import Robot
 
 if TYPE_CHECKING:
@@ -21,27 +23,26 @@ Floats = NDArray[np.float64]
 
 
 class RobotView:
-    """The surfaces of a robot's bodies, ready to be placed: the maker's meshes where there are some, else capsules."""
+    """A robot drawn in a plotter: the maker's meshes where there are some, else capsules; ``move`` sets the joints."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, plotter: pyvista.Plotter, colour: str, tool_colour: str) -> None:
         self.robot = robot
-        self.surfaces = [_surface(body) for body in robot.bodies.geometryObjects]
+        self.actors = []
+        for body in robot.bodies.geometryObjects:
+            held = body.name.startswith(robot.tool.name)
+            surface = _surface(body)
+            self.actors.append(plotter.add_mesh(surface, color=tool_colour if held else colour, smooth_shading=True))
+        self.wire = plotter.add_mesh(_wire(robot), color=tool_colour, line_width=4)
 
-    def placed(self, q_rad: ArrayLike) -> list[tuple[str, pyvista.PolyData]]:
-        """Name and surface (mm, base frame) of every body at joint angles (n,)."""
+    def move(self, q_rad: ArrayLike) -> None:
+        """Put every body where the joint angles (n,) want it."""
+        q = np.asarray(q_rad, dtype=float)
         model, bodies = self.robot.model, self.robot.bodies
         data, bodies_data = model.createData(), bodies.createData()
-        pin.updateGeometryPlacements(model, data, bodies, bodies_data, np.asarray(q_rad, dtype=float))
-        return [
-            (body.name, surface.transform(place.homogeneous, inplace=False))
-            for body, surface, place in zip(bodies.geometryObjects, self.surfaces, bodies_data.oMg, strict=True)
-        ]
-
-    def add_to(self, plotter: pyvista.Plotter, q_rad: ArrayLike, colour: str, tool_colour: str, **look: Any) -> None:
-        """Draw the robot at joint angles (n,); the tool in its own colour."""
-        for name, surface in self.placed(q_rad):
-            held = name.startswith(self.robot.tool.name)
-            plotter.add_mesh(surface, color=tool_colour if held else colour, name=name, **look)
+        pin.updateGeometryPlacements(model, data, bodies, bodies_data, q)
+        for actor, place in zip(self.actors, bodies_data.oMg, strict=True):
+            actor.user_matrix = place.homogeneous
+        self.wire.user_matrix = self.robot.forward(q)
 
 
 def save_animation(
@@ -57,6 +58,7 @@ def save_animation(
     pictures = []
     for move in frames:
         move()
+        plotter.render()
         picture = Image.fromarray(plotter.screenshot(return_img=True)[..., :3])
         pictures.append(picture.quantize(64, dither=Image.Dither.NONE))
     plotter.close()
@@ -73,11 +75,26 @@ def _surface(body: pin.GeometryObject) -> pyvista.PolyData:
     import pyvista
 
     if body.meshPath:
-        scale_mm = 1000.0 * np.asarray(body.meshScale)
-        return pyvista.read(body.meshPath).scale(scale_mm, inplace=False)
+        return _mesh(body.meshPath, tuple(1000.0 * np.asarray(body.meshScale)))
     if isinstance(body.geometry, coal.Capsule):
         length, radius = 2 * body.geometry.halfLength, body.geometry.radius
         return pyvista.Capsule(
             center=(0, 0, 0), direction=(0, 0, 1), radius=radius, cylinder_length=length, resolution=24
         )
     raise InputError(f"body {body.name} is neither a mesh nor a capsule; there is no way to draw it")
+
+
+@cache
+def _mesh(path: str, scale_mm: tuple[float, float, float]) -> pyvista.PolyData:
+    """A robot file's mesh in mm, its sharp edges kept sharp."""
+    import pyvista
+
+    return pyvista.read(path).scale(scale_mm, inplace=False).compute_normals(split_vertices=True)
+
+
+def _wire(robot: Robot) -> pyvista.PolyData:
+    """What sticks out of the tool's last capsule, in the frame of the tip."""
+    import pyvista
+
+    end = inverse(robot.tool.T_flange_tool) @ [*robot.tool.capsules[-1][1], 1.0]
+    return pyvista.Line(end[:3], (0.0, 0.0, 0.0))

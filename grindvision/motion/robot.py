@@ -156,7 +156,7 @@ def urdf_robot(
         meshes = pin.buildGeomFromUrdf(metres, str(path), pin.GeometryType.COLLISION, package_dirs=str(folder))
     except (ValueError, RuntimeError) as error:
         raise FileError(
-            f"{path}: collision meshes not found under {folder} ({_line(error)}); put them there, or give package_folder"
+            f"{path}: collision meshes not found under {folder} ({_line(error)}); put them there or give package_folder"
         ) from None
     model = in_millimetres(metres)
     bodies = pin.GeometryModel()
