@@ -27,7 +27,7 @@ class FieldCorrection:
     half: Floats
 
     def error_mm(self, points: ArrayLike) -> Floats:
-        """Expected depth error (N,) at points (N, 3) of the scanner frame; outside the calibrated volume as at its rim."""
+        """Expected depth error (N,) at points (N, 3), scanner frame; outside the calibrated volume as at its rim."""
         return chebyshev.chebval3d(*self._unit(np.asarray(points, dtype=float)).T, self.coefficients)
 
     def apply(self, points: ArrayLike) -> Floats:
