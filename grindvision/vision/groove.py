@@ -28,7 +28,7 @@ from grindvision.vision.groove_profile import (
     Sections,
     fit_profiles,
     gather_sections,
-    profile,
+    profile_height,
 )
 from grindvision.vision.height_field import field_frames, spacing_of
 from grindvision.vision.seam_curve import SeamCurve, Strip, build_curve, extended, lay_straight, smooth_along
@@ -176,7 +176,7 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
     if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
         raise InputError(f"the cloud has shape {cloud.shape}; expected (N, 3), or (rows, columns, 3) if organised")
     cloud = cloud.reshape(-1, 3)
-    valid = np.isfinite(cloud).all(axis=1)
+    valid = np.isfinite(cloud[:, 0] + cloud[:, 1] + cloud[:, 2])
     kept = cloud if valid.all() else cloud[valid]
     if len(kept) < 100:
         raise InputError(f"{len(kept)} of {len(cloud)} points are finite; a groove needs at least 100")
@@ -270,7 +270,7 @@ def _is_groove(width: float, depth: float, length: float, spacing: float) -> boo
 
 def _corners(sections: Sections, start: Floats, spread: Floats, width: float, noise: float) -> Corners:
     """Floor and rounding that fit a sample of the sections best; a sharp V unless something else clearly helps."""
-    pick = np.linspace(0, len(start) - 1, min(24, len(start))).astype(int)
+    pick = np.linspace(0, len(start) - 1, min(16, len(start))).astype(int)
     sample = Sections(sections.across[pick], sections.up[pick], sections.weight[pick], sections.bin_mm)
 
     def misfit(corners: Corners) -> float:
@@ -363,7 +363,7 @@ def _finished(
     smooth[:, LEFT], smooth[:, RIGHT] = middle - widths / 2, middle + widths / 2
     smooth[:, ROOT] = np.clip(smooth[:, ROOT], smooth[:, LEFT] + 0.1 * width, smooth[:, RIGHT] - 0.1 * width)
     lines = np.stack([smooth[:, LEFT], smooth[:, ROOT], smooth[:, RIGHT]], axis=1)
-    heights = profile(lines, smooth, fit.corners)[0]
+    heights = profile_height(lines, smooth, fit.corners)
     at = np.arange(len(curve)) * step
 
     def along(values: Floats) -> Floats:

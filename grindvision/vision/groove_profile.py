@@ -19,7 +19,8 @@ from grindvision.vision.seam_curve import Strip
 Floats = NDArray[np.float64]
 
 LEVEL, TILT, BEND, DEPTH, LEFT, ROOT, RIGHT = range(7)
-_ROUNDS = 14
+#: Gauss-Newton steps at most; a fit whose cost falls by less than ``_SETTLED`` of itself is left alone.
+_ROUNDS, _SETTLED = 14, 1e-4
 
 
 @dataclass(frozen=True)
@@ -86,38 +87,49 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
     theta, damping = start.copy(), np.full(len(start), 1e-2)
     cost = _cost(theta, start, prior, sections, data_weight, corners, noise_mm)
     for _ in range(_ROUNDS):
-        height, jacobian = profile(sections.across, theta, corners)
+        height, jacobian = profile_slopes(sections.across, theta, corners)
         off = sections.up - height
         weight = data_weight * _huber(off / noise_mm)
-        normal = np.einsum("smi,sm,smj->sij", jacobian, weight, jacobian, optimize=True)
-        diagonal = np.einsum("sii->si", normal)
-        diagonal += prior
-        slope = np.einsum("smi,sm->si", jacobian, weight * off) - prior * (theta - start)
+        normal, slope = _normal_equations(jacobian, weight, off, prior)
+        slope -= prior * (theta - start)
         damped = normal.copy()
         np.einsum("sii->si", damped)[:] *= 1 + damping[:, None]
         trial = _in_order(theta + np.linalg.solve(damped, slope[..., None])[..., 0], corners.floor_mm + sections.bin_mm)
         trial_cost = _cost(trial, start, prior, sections, data_weight, corners, noise_mm)
         better = trial_cost < cost
+        settled = not (trial_cost < (1 - _SETTLED) * cost).any() and (damping < 1).all()
         theta, cost = np.where(better[:, None], trial, theta), np.where(better, trial_cost, cost)
         damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-7, 1e5)
-    height, jacobian = profile(sections.across, theta, corners)
+        if settled:
+            break
+    height, jacobian = profile_slopes(sections.across, theta, corners)
     weight = data_weight * _huber((sections.up - height) / noise_mm)
-    normal = np.einsum("smi,sm,smj->sij", jacobian, weight, jacobian, optimize=True)
-    np.einsum("sii->si", normal)[:] += prior
+    normal, _ = _normal_equations(jacobian, weight, sections.up - height, prior)
     deviation = np.sqrt(np.maximum(np.einsum("sii->si", np.linalg.inv(normal)), 0))
     total = np.maximum(weight.sum(axis=1), 1e-12)
     noise = np.sqrt((weight * (sections.up - height) ** 2).sum(axis=1) / total)
     return ProfileFit(theta, deviation, noise, corners)
 
 
-def profile(across: Floats, parameters: Floats, corners: Corners) -> tuple[Floats, Floats]:
+def profile_height(across: Floats, parameters: Floats, corners: Corners) -> Floats:
+    """Height (S, M) at ``across`` (S, M) for parameters (S, 7)."""
+    level, tilt, bend, depth, left, root, right = (parameters[:, k, None] for k in range(7))
+    fall = _ramp(across - left, corners.edge_mm) - _ramp(across - root + corners.floor_mm, corners.root_mm)
+    climb = _ramp(across - root - corners.floor_mm, corners.root_mm) - _ramp(across - right, corners.edge_mm)
+    roof = fall / (root - corners.floor_mm - left) - climb / (right - root - corners.floor_mm)
+    inside = (across > left) & (across < right)
+    arch = np.where(inside, (left + right) * across - left * right, across**2)
+    return level + tilt * across + bend * arch - depth * roof
+
+
+def profile_slopes(across: Floats, parameters: Floats, corners: Corners) -> tuple[Floats, Floats]:
     """Height (S, M) and its derivatives (S, M, 7) at ``across`` (S, M) for parameters (S, 7)."""
     level, tilt, bend, depth, left, root, right = (parameters[:, k, None] for k in range(7))
     a, b = 1 / (root - corners.floor_mm - left), 1 / (right - root - corners.floor_mm)
-    ramp_l, rise_l = _ramp(across - left, corners.edge_mm)
-    ramp_a, rise_a = _ramp(across - root + corners.floor_mm, corners.root_mm)
-    ramp_b, rise_b = _ramp(across - root - corners.floor_mm, corners.root_mm)
-    ramp_r, rise_r = _ramp(across - right, corners.edge_mm)
+    ramp_l, rise_l = _ramp_slope(across - left, corners.edge_mm)
+    ramp_a, rise_a = _ramp_slope(across - root + corners.floor_mm, corners.root_mm)
+    ramp_b, rise_b = _ramp_slope(across - root - corners.floor_mm, corners.root_mm)
+    ramp_r, rise_r = _ramp_slope(across - right, corners.edge_mm)
     fall, climb = (ramp_l - ramp_a) * a, (ramp_b - ramp_r) * b
     roof = fall - climb
     inside = (across > left) & (across < right)
@@ -135,8 +147,19 @@ def profile(across: Floats, parameters: Floats, corners: Corners) -> tuple[Float
     return level + tilt * across + bend * arch - depth * roof, jacobian
 
 
-def _ramp(x: Floats, rounding: float) -> tuple[Floats, Floats]:
-    """max(x, 0) with a rounded corner, and its derivative."""
+def _normal_equations(jacobian: Floats, weight: Floats, off: Floats, prior: Floats) -> tuple[Floats, Floats]:
+    weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
+    normal = weighted @ jacobian
+    np.einsum("sii->si", normal)[:] += prior
+    return normal, (weighted @ off[..., None])[..., 0]
+
+
+def _ramp(x: Floats, rounding: float) -> Floats:
+    """max(x, 0) with a rounded corner."""
+    return (x + np.sqrt(x * x + rounding * rounding)) / 2
+
+
+def _ramp_slope(x: Floats, rounding: float) -> tuple[Floats, Floats]:
     root = np.sqrt(x * x + rounding * rounding)
     return (x + root) / 2, (1 + x / root) / 2
 
@@ -146,7 +169,7 @@ def _huber(scaled: Floats) -> Floats:
 
 
 def _cost(theta, start, prior, sections, data_weight, corners, noise_mm) -> Floats:
-    off = np.abs(sections.up - profile(sections.across, theta, corners)[0]) / noise_mm
+    off = np.abs(sections.up - profile_height(sections.across, theta, corners)) / noise_mm
     loss = np.where(off < 2.0, off**2, 4.0 * off - 4.0) * noise_mm**2
     return (data_weight * loss).sum(axis=1) + (prior * (theta - start) ** 2).sum(axis=1)
 

@@ -186,7 +186,7 @@ def _curve_coordinates(points, frame, nearest, corner, cell, stations, along, ac
                 continue
             z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
             k = nearest[i, j]
-            for _ in range(12):
+            for _ in range(100):
                 dx, dy, dz = x - stations[k, 0], y - stations[k, 1], z - stations[k, 2]
                 ahead = dx * along[k, 0] + dy * along[k, 1] + dz * along[k, 2]
                 if ahead > 0.6 * step and k < len(stations) - 1:

@@ -113,17 +113,18 @@ def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
             break
         names, count = ndimage.label(left > FLANK_SHARE * peak, _EIGHT)
         volumes = ndimage.sum_labels(left, names, np.arange(1, count + 1))
+        boxes = ndimage.find_objects(names)
         for name in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS] + 1:
-            piece = _piece(names == name, depth, field)
+            piece = _piece(names == name, boxes[name - 1], depth, field)
             if piece is not None:
                 pieces.append(piece)
         left[ndimage.binary_dilation(names > 0, _EIGHT, iterations=2)] = 0
     return pieces
 
 
-def _piece(cells: Flags, depth: Floats, field: HeightField) -> _Piece | None:
-    """Measure a piece; nothing where it is no long narrow valley."""
-    inner = ndimage.distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]
+def _piece(cells: Flags, box: tuple[slice, slice], depth: Floats, field: HeightField) -> _Piece | None:
+    """Measure a piece, all within ``box``; nothing where it is no long narrow valley."""
+    inner = ndimage.distance_transform_edt(np.pad(cells[box], 1))
     width = (2 * float(inner.max()) - 1) * field.cell_mm
     area = float(cells.sum()) * field.cell_mm**2
     deep = float(np.percentile(depth[cells], 75))
