@@ -57,6 +57,8 @@ def start(chapter: str) -> None:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
+    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
 
     import matplotlib.pyplot as plt
     import pandas as pd
