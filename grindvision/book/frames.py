@@ -72,6 +72,28 @@ def draw_scanner(
         plotter.add_mesh(pv.Line(points[i], points[i % 4 + 1]), color=colour, line_width=3)
 
 
+def draw_tracker(plotter: pyvista.Plotter, T_base_tracker: ArrayLike) -> None:
+    """Draw a laser tracker whose measuring head is at the origin of its frame, on a stand 330 mm high."""
+    import pyvista as pv
+
+    pose = np.asarray(T_base_tracker, dtype=float)
+    stand = pv.Cylinder(center=(0, 0, -195), direction=(0, 0, 1), radius=48, height=270)
+    head = pv.Box((-45, 45, -45, 45, -60, 50))
+    for part, colour in ((stand, _METAL), (head, _SCANNER)):
+        moved = part.transform(pose, inplace=False)
+        plotter.add_mesh(moved, color=colour, smooth_shading=True, split_sharp_edges=True)
+
+
+def draw_sight(plotter: pyvista.Plotter, start_mm: ArrayLike, end_mm: ArrayLike, colour: str, dashes: int = 24) -> None:
+    """Draw a dashed line between two points (3,)."""
+    import pyvista as pv
+
+    start, end = np.asarray(start_mm, dtype=float), np.asarray(end_mm, dtype=float)
+    stops = start + np.linspace(0, 1, 2 * dashes)[:, None] * (end - start)
+    plotter.add_mesh(pv.line_segments_from_points(stops), color=colour, line_width=4, lighting=False)
+    plotter.add_mesh(pv.Sphere(radius=9, center=end), color=colour)
+
+
 def draw_frame(
     plotter: pyvista.Plotter,
     T_base_frame: ArrayLike,

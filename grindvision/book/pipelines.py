@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from grindvision.book.session import COLOURS
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -98,6 +99,14 @@ def draw_pipeline(steps: Sequence[Step], title: str) -> Figure:
     axes.set_aspect("equal")
     axes.set_axis_off()
     return fig
+
+
+def as_table(steps: Sequence[Step]) -> pd.DataFrame:
+    """The steps as ``step, what, chapters, kind, after``: what the flow chart shows."""
+    import pandas as pd
+
+    rows = [(step.name, step.what, step.chapters, step.kind, ", ".join(step.after)) for step in steps]
+    return pd.DataFrame(rows, columns=["step", "what", "chapters", "kind", "after"])
 
 
 def _box(axes: Axes, step: Step, at: tuple[float, float]) -> None:
