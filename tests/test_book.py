@@ -196,15 +196,17 @@ def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
     notebook(tmp_path / "notebooks" / "01_good.ipynb", save)
     notebook(tmp_path / "notebooks" / "02_bad.ipynb", save.replace("'one'", "'two'"), "raise ValueError('no rank')")
     notebook(tmp_path / "notebooks" / "03_dead.ipynb", "import os\nos._exit(3)")
+    notebook(tmp_path / "notebooks" / "04_silent.ipynb", "rank = 19\nassert rank == 20")
     before = {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}
     outcomes = rebuild(
         notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True
     )
 
-    assert [outcome.chapter for outcome in outcomes] == ["01_good", "02_bad", "03_dead"]
+    assert [outcome.chapter for outcome in outcomes] == ["01_good", "02_bad", "03_dead", "04_silent"]
     assert outcomes[0].failure == ""
     assert outcomes[1].failure == "cell 3 failed: ValueError: no rank"
     assert "cell 2 ended its kernel" in outcomes[2].failure
+    assert outcomes[3].failure == "cell 2 failed: AssertionError: assert rank == 20"
     names = {path.name for path in (tmp_path / "figures").iterdir()}
     assert names == {"one.csv", "one.md", "scoreboard.csv", "scoreboard.md"}
     assert before == {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}

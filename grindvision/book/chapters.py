@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -167,7 +168,8 @@ async def _run(source: Path, copy: Path, environment: dict[str, str]) -> Outcome
     try:
         await client.async_execute(env=environment, cwd=str(copy.parent))
     except CellExecutionError as error:
-        failure = f"cell {begun[-1]} failed: {error.ename}: {_first_line(error.evalue)}"
+        reason = error.evalue.strip() or _failing_line(error.traceback)
+        failure = f"cell {begun[-1]} failed: {error.ename}: {_first_line(reason)}"
     except CellTimeoutError:
         failure = f"cell {begun[-1]} took longer than {CELL_TIMEOUT_S} s"
     except DeadKernelError:
@@ -175,6 +177,12 @@ async def _run(source: Path, copy: Path, environment: dict[str, str]) -> Outcome
     with write_whole(copy) as path:
         nbformat.write(notebook, path)
     return Outcome(source.stem, time.perf_counter() - started, failure)
+
+
+def _failing_line(traceback: str) -> str:
+    """The line of the cell that a traceback points at, for errors that say nothing themselves."""
+    pointed = re.search(r"^-+> *\d+ (.+)$", re.sub(r"\x1b\[[\d;]*m", "", traceback), re.MULTILINE)
+    return pointed[1] if pointed else ""
 
 
 def _first_line(text: str) -> str:

@@ -28,9 +28,11 @@ def build_site(build: Path, figures: Path, notebooks: Path = NOTEBOOKS, site: Pa
     """
     from sphinx.application import Sphinx
     from sphinx.errors import SphinxError
+    from sphinx.util.console import nocolor
 
     sources = build / "site_sources"
     _gather(sources, build / "executed", figures, notebooks)
+    nocolor()
     warnings = io.StringIO()
     try:
         app = Sphinx(
