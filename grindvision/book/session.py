@@ -58,7 +58,6 @@ def start(chapter: str) -> None:
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
-    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
 
     import matplotlib.pyplot as plt
     import pandas as pd
