@@ -94,6 +94,21 @@ def test_spinning_keeps_tip_and_axis_and_can_be_undone():
     assert np.allclose(spun.spun(-0.7).T_base_tool, trajectory.T_base_tool)
 
 
+@pytest.mark.parametrize("trajectory", [s_trajectory(8), ring(12)], ids=["open", "closed"])
+def test_a_refined_trajectory_keeps_its_poses_and_its_steps_small(trajectory):
+    fine = trajectory.refined(step_mm=4.0, step_rad=0.05)
+    gaps = np.linalg.norm(fine.positions_mm[:, None] - trajectory.positions_mm, axis=2)
+    kept = fine.T_base_tool[gaps.argmin(axis=0)]
+    assert np.allclose(kept, trajectory.T_base_tool, atol=1e-9)
+    poses = fine.T_base_tool_worked
+    turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).magnitude()
+    assert np.diff(fine.arc_mm).max() < 4.2 and turns.max() < 0.06  # the curve is a little longer than its chords
+    assert fine.closed == trajectory.closed
+    if trajectory.closed:
+        assert np.linalg.norm(fine.positions_mm - [290.0, 20.0, 50.0], axis=1) == pytest.approx(50.0, abs=0.05)
+    assert trajectory.refined(1e3, 10.0).positions_mm == pytest.approx(trajectory.positions_mm)
+
+
 def test_bad_way_points_are_named():
     positions, normals = seam()
     with pytest.raises(InputError, match="29 normals"):
@@ -108,6 +123,8 @@ def test_bad_way_points_are_named():
         tool_trajectory(positions * np.nan, normals)
     with pytest.raises(DegenerateError, match="at least 2"):
         tool_trajectory(positions[:1], normals[:1])
+    with pytest.raises(InputError, match="both must be above 0"):
+        s_trajectory().refined(0.0, 0.1)
     with pytest.raises(InputError, match="travel angle"):
         tool_trajectory(positions, normals, travel_angle_rad=15.0)
     with pytest.raises(NotRigidError, match="way point 1"):

@@ -35,7 +35,7 @@ class RobotJob:
 
         return plan_motion(
             self.robot,
-            trajectory.moved(self.T_base_scanner),
+            trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1),
             np.random.default_rng(0),
             tool_speed_mm_s=self.torch_speed_mm_s,
             obstacles=[scanned("work", move_points(self.T_base_scanner, points))],

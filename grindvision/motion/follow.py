@@ -201,9 +201,9 @@ def _check_branch(robot: Robot, poses: Floats, q: Floats) -> None:
         here = int(astray.argmax())
         joint = int(np.abs(q[here + 1] - q[here]).argmax())
         raise UnreachableError(
-            f"between way points {here} and {here + 1} the arm must turn over: {robot.joints[joint]} by"
-            f" {np.degrees(abs(q[here + 1, joint] - q[here, joint])):.0f} deg, the tool {off_mm[here]:.0f} mm off the"
-            " seam; place more way points there, or move the work away from this posture"
+            f"between way points {here} and {here + 1} the arm would swing the tool {off_mm[here]:.0f} mm off the seam:"
+            f" {robot.joints[joint]} turns by {np.degrees(abs(q[here + 1, joint] - q[here, joint])):.0f} deg; refine"
+            " the trajectory, or move the work away from this posture"
         )
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, check_rigid, rotation_about
@@ -64,6 +65,29 @@ class Trajectory:
         turn = np.eye(4)
         turn[:3, :3] = rotation_about([0, 0, 1], angle_rad)
         return replace(self, T_base_tool=self.T_base_tool @ turn)
+
+    def refined(self, step_mm: float, step_rad: float) -> Trajectory:
+        """Return the trajectory with poses in between, at most ``step_mm`` and ``step_rad`` apart; the old ones stay.
+
+        Positions follow a cubic spline over the arc length, orientations a spline of rotations. An arm that moves its
+        joints evenly between two poses swings the tool off the seam by the square of how far they are apart.
+
+        Raises:
+            InputError: a step that is not above zero.
+        """
+        if not (step_mm > 0 and step_rad > 0):
+            raise InputError(f"steps of {step_mm:.4g} mm and {step_rad:.4g} rad; both must be above 0")
+        poses, arc = self.T_base_tool_worked, self.arc_mm
+        turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).magnitude()
+        pieces = np.ceil(np.maximum(np.maximum(np.diff(arc) / step_mm, turns / step_rad), 1)).astype(int)
+        inner = [np.linspace(*arc[i : i + 2], count, endpoint=False) for i, count in enumerate(pieces)]
+        at = np.concatenate([*inner, [] if self.closed else arc[-1:]])
+        fine = np.zeros((len(at), 4, 4))
+        fine[:, :3, :3] = RotationSpline(arc, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+        bend = "periodic" if self.closed else "not-a-knot"
+        fine[:, :3, 3] = CubicSpline(arc, poses[:, :3, 3], bc_type=bend)(at)
+        fine[:, 3, 3] = 1.0
+        return replace(self, T_base_tool=fine)
 
     def __str__(self) -> str:
         shape = "closed" if self.closed else "open"
