@@ -76,7 +76,7 @@ def test_distortion_belongs_to_the_instrument_and_has_its_stated_size(plate):
     np.testing.assert_array_equal(one, again)
     assert np.abs(one - other).max() > 0.01
     errors = [scanner.with_serial(s).systematic_mm(view.points).std() for s in range(10)]
-    assert np.mean(errors) == pytest.approx(0.03, rel=0.1)
+    assert np.mean(errors) == pytest.approx(0.045, rel=0.1)
 
 
 def test_every_error_moves_a_point_along_its_ray(plate):
