@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing, label
 from scipy.spatial import cKDTree
 
+from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points, turn_vectors
 from grindvision.vision.groove_profile import (
@@ -38,8 +39,6 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: A cloud smaller than this is in metres, one larger in micrometres or worse, mm.
-PART_SIZES_MM = (5.0, 50_000.0)
 #: A groove's width is at least so many point spacings.
 LEAST_POINTS_ACROSS = 5.0
 #: Walls fall at least so steeply: depth over half the width (17 degrees).
@@ -52,8 +51,12 @@ WORST_FIT_SHARE = 0.2
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
+#: The last station at an end holds at least this share of the usual number of points.
+COVERED_SHARE = 0.4
 #: A groove holds at least this share of the volume of the largest one.
 LEAST_VOLUME_SHARE = 0.05
+#: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
+SHARP = 0.004
 #: A path that runs along a known groove for this share is that groove again.
 KNOWN_SHARE = 0.3
 _PASSES = 8
@@ -67,6 +70,7 @@ class DetectedGroove:
     where the walls meet, ``left`` and ``right`` the edges, and unit ``normals`` of the surface around, all (S, 3).
     ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
     standard deviation of the root across the seam. ``edges_seen`` is the share of stations with surface on both sides.
+    A ``closed`` groove is a ring: its last station is followed by its first.
     """
 
     members: Integers
@@ -79,11 +83,13 @@ class DetectedGroove:
     root_deviation_mm: Floats
     step_mm: float
     edges_seen: float
+    closed: bool = False
 
     @property
     def length_mm(self) -> float:
-        """Length of the root line."""
-        return float(np.linalg.norm(np.diff(self.root, axis=0), axis=1).sum())
+        """Length of the root line, all round for a closed groove."""
+        line = np.concatenate([self.root, self.root[:1]]) if self.closed else self.root
+        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
     @property
     def volume_mm3(self) -> float:
@@ -181,8 +187,8 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
     if len(kept) < 100:
         raise InputError(f"{len(kept)} of {len(cloud)} points are finite; a groove needs at least 100")
     diagonal = float(np.linalg.norm(np.ptp(kept, axis=0)))
-    if not PART_SIZES_MM[0] <= diagonal <= PART_SIZES_MM[1]:
-        guess = "; if its numbers are metres, read it with unit m" if diagonal < PART_SIZES_MM[0] else ""
+    if not SMALLEST_MM <= diagonal <= LARGEST_MM:
+        guess = "; if its numbers are metres, read it with unit m" if diagonal < SMALLEST_MM else ""
         raise UnitError(f"the cloud spans {diagonal:.3g} mm, which is no weld part in mm{guess}")
     return kept, valid
 
@@ -229,7 +235,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
     if len(curve) > 4 * margin + 4:
         curve = _part(curve, margin, len(curve) - margin)
     length = 0.0
-    corners = Corners(0.02 * width, 0.02 * width)
+    corners = Corners(SHARP * width, SHARP * width)
     for number in range(_PASSES):
         curve = extended(curve, 1.5 * width, 1.5 * width, base_mm=3 * width)
         reach = 1.2 * width
@@ -276,7 +282,7 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
     def misfit(corners: Corners) -> float:
         return float(np.median(fit_profiles(sample, start[pick], spread, corners, noise).noise_mm))
 
-    chosen = Corners(0.02 * width, 0.02 * width)
+    chosen = Corners(SHARP * width, SHARP * width)
     best = misfit(chosen)
     for corner in ("floor_mm", "root_mm", "edge_mm"):
         for share in (0.08, 0.16, 0.24, 0.32):
@@ -375,6 +381,7 @@ def _finished(
     floor = along(smooth[:, LEVEL]) + along(smooth[:, TILT]) * strip.across - 1.3 * depth - 4 * noise
     members = np.sort(strip.index[between & ends & (strip.up > floor)])
     placed = curve.stations[:, None, :] + lines[:, :, None] * curve.across[:, None, :]
+    first, last = _covered(strip.along[between], first, last, step)
     placed = (placed + heights[:, :, None] * curve.up[:, None, :])[first:last]
     normals = (curve.up - smooth[:, TILT, None] * curve.across)[first:last]
     T_cloud_field = inverse(T_field_cloud)
@@ -382,15 +389,35 @@ def _finished(
     outer = np.abs(sections.across - middle[:, None])
     beside = (outer > widths[:, None] / 2) & (outer < 0.75 * widths[:, None]) & (sections.weight > 0)
     both = ((beside & (sections.across < 0)).any(axis=1) & (beside & (sections.across > 0)).any(axis=1))[first:last]
+    turns, closed = _one_round(root, width)
     return DetectedGroove(
         members,
-        root,
-        left,
-        right,
-        turn_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True)),
-        widths[first:last],
-        smooth[first:last, DEPTH],
-        fit.deviation[first:last, ROOT],
+        root[:turns],
+        left[:turns],
+        right[:turns],
+        turn_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True))[:turns],
+        widths[first:last][:turns],
+        smooth[first:last, DEPTH][:turns],
+        fit.deviation[first:last, ROOT][:turns],
         step,
         float(both.mean()),
+        closed,
     )
+
+
+def _covered(along: Floats, first: int, last: int, step: float) -> tuple[int, int]:
+    """Cut stations off both ends that have hardly any point of the groove to themselves."""
+    counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)[first:last]
+    full = np.flatnonzero(counts > COVERED_SHARE * np.median(counts))
+    return first + int(full[0]), first + int(full[-1]) + 1
+
+
+def _one_round(root: Floats, width: float) -> tuple[int, bool]:
+    """How many stations (S, 3) make one round of a ring, and whether it is one: the line comes back to its start."""
+    away = np.linalg.norm(root - root[0], axis=1)
+    far = np.flatnonzero(away > 2 * width)
+    back = np.flatnonzero(away < width / 4)
+    back = back[back > far[0]] if len(far) else back[:0]
+    if len(back) == 0:
+        return len(root), False
+    return int(back[np.argmin(away[back])]), True
