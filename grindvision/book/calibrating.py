@@ -163,8 +163,8 @@ def calibration_trial(rng: np.random.Generator, plan_seed: int = 0) -> dict[str,
     """Experiments 2 and 3 once, with a scanner drawn anew: errors in mm of every method, and what the truth says.
 
     ``floor``: held-out mean of the best cell possible. ``true_here``, ``true_everywhere``: mean distance from the truth
-    without measurement noise, in the measuring space and over the whole workspace. ``covered`` of ``known`` parameters lie within
-    one stated standard deviation.
+    without measurement noise, in the measuring space and over the whole workspace. ``covered`` of ``known`` parameters
+    lie within one stated standard deviation.
     """
     robot, tracker, plan = robot_number(int(rng.integers(2**31))), aligned_tracker(), paper_plan(plan_seed)
     coarse = coarse_experiment(robot, tracker, plan.q_rad[0], rng).cell
