@@ -105,7 +105,7 @@ def as_table(steps: Sequence[Step]) -> pd.DataFrame:
     """The steps as ``step, what, chapters, kind, after``: what the flow chart shows."""
     import pandas as pd
 
-    rows = [(step.name, step.what, step.chapters, step.kind, ", ".join(step.after)) for step in steps]
+    rows = [(step.name, step.what, step.chapters, step.kind, "; ".join(step.after)) for step in steps]
     return pd.DataFrame(rows, columns=["step", "what", "chapters", "kind", "after"])
 
 
