@@ -51,8 +51,8 @@ WORST_FIT_SHARE = 0.2
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
-#: The last station at an end holds at least this share of the usual number of points.
-COVERED_SHARE = 0.4
+#: The middle of the last station at an end holds at least this share of the usual number of points.
+COVERED_SHARE = 0.5
 #: A groove holds at least this share of the volume of the largest one.
 LEAST_VOLUME_SHARE = 0.05
 #: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
@@ -363,6 +363,9 @@ def _finished(
     width = float(np.median((theta[:, RIGHT] - theta[:, LEFT])[first:last]))
     widths = _smooth(fit, first, last, theta[:, RIGHT] - theta[:, LEFT], RIGHT, 2 * width, step)
     middle = _smooth(fit, first, last, (theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT, width / 2, step)
+    if max(fit.corners.root_mm, fit.corners.floor_mm) > SHARP * width * 1.5:
+        theta = theta.copy()
+        theta[:, ROOT] = _depth_centres(sections, theta)
     smooth = np.empty_like(theta)
     for parameter, length in ((LEVEL, 0.3), (TILT, 0.5), (BEND, 2.0), (DEPTH, 0.5), (ROOT, 0.5)):
         smooth[:, parameter] = _smooth(fit, first, last, theta[:, parameter], parameter, length * width, step)
@@ -381,7 +384,8 @@ def _finished(
     floor = along(smooth[:, LEVEL]) + along(smooth[:, TILT]) * strip.across - 1.3 * depth - 4 * noise
     members = np.sort(strip.index[between & ends & (strip.up > floor)])
     placed = curve.stations[:, None, :] + lines[:, :, None] * curve.across[:, None, :]
-    first, last = _covered(strip.along[between], first, last, step)
+    core = between & (np.abs(strip.across - along(smooth[:, ROOT])) < width / 5)
+    first, last = _covered(strip.along[core], first, last, step)
     placed = (placed + heights[:, :, None] * curve.up[:, None, :])[first:last]
     normals = (curve.up - smooth[:, TILT, None] * curve.across)[first:last]
     T_cloud_field = inverse(T_field_cloud)
@@ -405,8 +409,16 @@ def _finished(
     )
 
 
+def _depth_centres(sections: Sections, theta: Floats) -> Floats:
+    """Depth-weighted centre (S,) across the seam of the points between the edges: the line of a blunt groove."""
+    surface = theta[:, LEVEL, None] + theta[:, TILT, None] * sections.across
+    inside = (sections.across > theta[:, LEFT, None]) & (sections.across < theta[:, RIGHT, None])
+    depth = sections.weight * np.where(inside, np.maximum(surface - sections.up, 0), 0)
+    return (depth * sections.across).sum(axis=1) / np.maximum(depth.sum(axis=1), 1e-9)
+
+
 def _covered(along: Floats, first: int, last: int, step: float) -> tuple[int, int]:
-    """Cut stations off both ends that have hardly any point of the groove to themselves."""
+    """Cut stations off both ends where the middle of the groove already lies beyond the part."""
     counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)[first:last]
     full = np.flatnonzero(counts > COVERED_SHARE * np.median(counts))
     return first + int(full[0]), first + int(full[-1]) + 1
