@@ -44,6 +44,12 @@ def test_rows_do_not_depend_on_order_or_processes():
     assert not straight["value"].equals(run_study(draw, numbered, seed=4, jobs=1)["value"])
 
 
+def test_cases_of_one_stream_draw_the_same_numbers():
+    rows = run_study(draw, pd.DataFrame({"scale": 1.0, "label": "a", "stream": [5, 6, 5]}), seed=3, jobs=1)
+    assert rows["value"][0] == rows["value"][2] != rows["value"][1]
+    assert rows["value"][0] == case_rng(3, 5).standard_normal()
+
+
 def test_a_refused_case_is_a_row_with_its_message():
     rows = run_study(draw, CASES, seed=3, jobs=1)
     assert rows.loc[4, "error"] == "DegenerateError: label e is not measured"
@@ -241,12 +247,12 @@ def test_ranking_recovers_known_shares(rng):
     cases = space_filling(dict.fromkeys("abcd", (-1.0, 1.0)), cases=256, seed=2)
     noise = 0.3 * rng.standard_normal(256)
     response = 2 * cases["a"] + cases["b"] ** 2 + cases["b"] * cases["c"] + noise
-    parts = {"a": 4 / 3, "b": 1 / 5 - 1 / 9, "c": 0.0, "d": 0.0, "interactions": 1 / 9, "unexplained": 0.09}
+    parts = {"a": 4 / 3, "b": 1 / 5 - 1 / 9, "c": 0.0, "d": 0.0, "unexplained": 1 / 9 + 0.09}
     ranked = rank_sensitivity(cases, response, rng).set_index("parameter")
-    assert list(ranked.index[:2]) == ["a", "b"] and list(ranked.index[4:]) == ["interactions", "unexplained"]
+    assert list(ranked.index[:2]) == ["a", "b"] and ranked.index[-1] == "unexplained"
     for name, part in parts.items():
         assert ranked.loc[name, "share"] == pytest.approx(part / sum(parts.values()), abs=0.02)
-    assert (ranked["share_std"] < 0.06).all() and (ranked.loc[["c", "d"], "share_std"] < 0.003).all()
+    assert (ranked["share_std"] < 0.06).all() and (ranked.loc[["c", "d"], "share_std"] < 0.01).all()
     assert ranked.loc["a", "effect"] == pytest.approx(4.0, abs=0.1)
-    with pytest.raises(InputError, match="at least 60"):
-        rank_sensitivity(cases.iloc[:50], response[:50], rng)
+    with pytest.raises(InputError, match="at least 27"):
+        rank_sensitivity(cases.iloc[:20], response[:20], rng)

@@ -68,17 +68,16 @@ def rank_sensitivity(
 ) -> pd.DataFrame:
     """Share of the response's variance that each parameter explains by itself, most important first.
 
-    The response is regressed on two orthogonal polynomials of each parameter (linear, quadratic) and on the products of
-    the linear ones. A share is what the model loses without one parameter's own two terms; ``interactions`` is what it
-    loses without the products, ``unexplained`` what it never explains: noise and anything rougher. Shares are corrected
-    for the number of terms, as an adjusted R^2 is, so an idle parameter scatters around zero.
+    The response is regressed on two orthogonal polynomials of each parameter, linear and quadratic. A share is what
+    the model loses without one parameter's two terms; ``unexplained`` is the rest: noise, interactions and anything
+    rougher. Shares are corrected for the number of terms, as an adjusted R^2 is: idle parameters scatter around zero.
 
     Returns:
         ``parameter, share, share_std, effect``: ``share_std`` comes from random halves of the cases; ``effect`` is the
-        change of the response from the low to the high end of the range by the linear term, NaN in the last rows.
+        change of the response from the low to the high end of the range by the linear term, NaN in the last row.
 
     Raises:
-        InputError: fewer than four cases per term, or lengths that differ.
+        InputError: fewer than three cases per term, or lengths that differ.
     """
     import pandas as pd
 
@@ -89,23 +88,21 @@ def rank_sensitivity(
     scaled = parameters.to_numpy(dtype=float)
     low, high = scaled.min(axis=0), scaled.max(axis=0)
     scaled = 2 * (scaled - low) / (high - low) - 1
-    linear, quadratic = scaled, 1.5 * scaled**2 - 0.5
-    pairs = [linear[:, i] * linear[:, j] for i in range(len(names)) for j in range(i)]
-    terms = np.column_stack([np.ones(len(values)), linear, quadratic, *pairs])
-    if len(values) < 4 * terms.shape[1]:
-        raise InputError(f"{len(values)} cases for {terms.shape[1]} terms; give at least {4 * terms.shape[1]}")
+    terms = np.column_stack([np.ones(len(values)), scaled, 1.5 * scaled**2 - 0.5])
+    if len(values) < 3 * terms.shape[1]:
+        raise InputError(f"{len(values)} cases for {terms.shape[1]} terms; give at least {3 * terms.shape[1]}")
     count = len(names)
-    groups = [[1 + i, 1 + count + i] for i in range(count)] + [list(range(1 + 2 * count, terms.shape[1]))]
+    groups = [[1 + i, 1 + count + i] for i in range(count)]
     shares = _shares(terms, values, groups)
     halves = [rng.permutation(len(values))[: len(values) // 2] for _ in range(resamples)]
     spread = np.array([_shares(terms[half], values[half], groups) for half in halves])
     effect = 2 * np.linalg.lstsq(terms, values, rcond=None)[0][1 : 1 + count]
     table = pd.DataFrame(
         {
-            "parameter": [*names, "interactions", "unexplained"],
+            "parameter": [*names, "unexplained"],
             "share": shares,
             "share_std": spread.std(axis=0),
-            "effect": [*effect, np.nan, np.nan],
+            "effect": [*effect, np.nan],
         }
     )
     own = table.iloc[:count].sort_values("share", ascending=False, kind="stable")

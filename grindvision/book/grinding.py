@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
@@ -54,7 +55,7 @@ class GroundBead:
     @property
     def gouge_mm(self) -> float:
         """Deepest cut into the good surface along the path."""
-        return float(max(-self.after_mm[self.along].min(), 0.0))
+        return max(0.0, float(-self.after_mm[self.along].min()))
 
     def __str__(self) -> str:
         return f"{self.before_mm.max():.2f} mm bead ground to {self.left_mm:.3f} mm, gouge {self.gouge_mm:.3f} mm"
@@ -133,3 +134,12 @@ def resampled(points_mm: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:
         return np.column_stack([np.interp(at, s, column) for column in columns.T])
 
     return interpolated(points), interpolated(values)
+
+
+def square_to(line_mm: Floats, points_mm: Floats) -> Floats:
+    """Vectors (N, 3), square to a finely sampled line (M, 3), from the line to points (N, 3) beside it."""
+    tangents = np.gradient(line_mm, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    _, near = cKDTree(line_mm).query(points_mm)
+    away = points_mm - line_mm[near]
+    return away - np.einsum("ij,ij->i", away, tangents[near])[:, None] * tangents[near]

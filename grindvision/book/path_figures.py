@@ -86,12 +86,6 @@ def draw_projection(paths: pd.DataFrame, across: str, up: str) -> Figure:
     return fig
 
 
-def spreads(paths: pd.DataFrame) -> pd.DataFrame:
-    """How far corresponding points lie apart, largest minus smallest coordinate: ``point, x_mm, y_mm, z_mm``."""
-    by_point = paths.groupby("point")[["x_mm", "y_mm", "z_mm"]]
-    return (by_point.max() - by_point.min()).reset_index()
-
-
 def _draw_points(axes: Axes, paths: pd.DataFrame, across: str, up: str, lines: bool) -> None:
     for (name, path), colour, marker in zip(paths.groupby("orientation"), _colours(), _MARKERS, strict=False):
         style = {"linewidth": 1.0} if lines else {"linestyle": "none"}

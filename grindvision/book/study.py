@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,7 +50,8 @@ def run_study(
     Args:
         measure: pure function; called as ``measure(rng=generator, **parameters)``.
         cases: one row per case, one column per parameter. The case number is the column ``case`` where there is one,
-            else the position in the table.
+            else the position in the table. Cases with the same number in a column ``stream`` draw the same random
+            numbers, so that they can be compared in pairs; without it every case has its own.
         seed: of the study.
         results: CSV file that rows stream to, in any order while running, sorted at the end. If it holds rows of the
             same study already, only missing cases run.
@@ -67,32 +67,28 @@ def run_study(
     """
     from tqdm import tqdm
 
-    parameters = _parameters(cases)
+    parameters, code = _parameters(cases), code_fingerprint()
     with TemporaryDirectory() as scratch, RowsFile(Path(results or Path(scratch, "rows.csv"))) as rows:
-        done = _finished(rows, parameters, seed)
+        done = _finished(rows, parameters, seed, code)
         missing = {case: values for case, values in parameters.items() if case not in done}
-        finished = _on_cluster(measure, missing, seed, scheduler) if scheduler else _here(measure, missing, seed, jobs)
+        finished = (
+            _on_cluster(measure, missing, seed, code, scheduler) if scheduler else _here(measure, missing, seed, jobs)
+        )
         bar = tqdm(
             total=len(parameters), initial=len(done), unit="case", disable=None if progress is None else not progress
         )
         with bar, contextlib.closing(finished):
             for row in finished:
-                if row["code"] != code_fingerprint():
-                    raise InputError(
-                        f"case {row['case']} was run by grindvision code {row['code']}, this is {code_fingerprint()}; "
-                        "install the same version on every worker"
-                    )
-                rows.append(row)
+                rows.append({"case": row.pop("case"), "seed": seed, "code": code, **row})
                 bar.update()
         return rows.finish().drop(columns=["seed", "code"])
 
 
-def case_rng(seed: int, case: int) -> np.random.Generator:
-    """The random generator of one case: a child of the study's seed, named by the case's number."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(case,)))
+def case_rng(seed: int, stream: int) -> np.random.Generator:
+    """The random generator of one case: a child of the study's seed, named by the case's stream or number."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
 
 
-@cache
 def code_fingerprint() -> str:
     """Twelve hexadecimal digits that name the state of this package's code."""
     root = Path(__file__).resolve().parents[1]
@@ -118,12 +114,12 @@ def _parameters(cases: pd.DataFrame) -> dict[int, dict[str, Any]]:
     return dict(zip(numbers.tolist(), cases.drop(columns="case").to_dict("records"), strict=True))
 
 
-def _finished(rows: RowsFile, parameters: dict[int, dict[str, Any]], seed: int) -> set[int]:
+def _finished(rows: RowsFile, parameters: dict[int, dict[str, Any]], seed: int, code: str) -> set[int]:
     """Case numbers that the results hold already, after a check that they belong to this study."""
     for case, found in rows.stored.items():
         if case not in parameters:
             raise InputError(f"{rows.path} holds case {case}, which the table lacks; choose another results file")
-        wanted = {"seed": seed, "code": code_fingerprint(), **parameters[case]}
+        wanted = {"seed": seed, "code": code, **parameters[case]}
         for name, value in wanted.items():
             if found.get(name) != as_text(value):
                 raise InputError(
@@ -135,9 +131,10 @@ def _finished(rows: RowsFile, parameters: dict[int, dict[str, Any]], seed: int) 
 
 def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int) -> dict[str, Any]:
     """One row: runs on a worker."""
-    row = {"case": case, "seed": seed, "code": code_fingerprint(), **parameters}
+    row = {"case": case, **parameters}
+    given = {name: value for name, value in parameters.items() if name != "stream"}
     try:
-        values = measure(rng=case_rng(seed, case), **parameters)
+        values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
     except GrindvisionError as error:
         return {**row, "error": " ".join(f"{type(error).__name__}: {error}".split())}
     except Exception as error:
@@ -157,7 +154,7 @@ def _here(measure: Measure, missing: dict[int, dict[str, Any]], seed: int, jobs:
 
 
 def _on_cluster(
-    measure: Measure, missing: dict[int, dict[str, Any]], seed: int, scheduler: str
+    measure: Measure, missing: dict[int, dict[str, Any]], seed: int, code: str, scheduler: str
 ) -> Iterator[dict[str, Any]]:
     from distributed import Client, as_completed
 
@@ -168,6 +165,11 @@ def _on_cluster(
             f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler`"
         ) from None
     with client:
+        for worker, other in client.run(code_fingerprint).items():
+            if other != code:
+                raise InputError(
+                    f"worker {worker} has grindvision code {other}, here it is {code}; install the same there"
+                )
         tasks = (client.submit(_measured, measure, case, values, seed, pure=False) for case, values in missing.items())
         running = as_completed(islice(tasks, IN_FLIGHT), loop=client.loop, with_results=True)
         for _, row in running:
