@@ -124,7 +124,7 @@ def random_readings(robot: GrindingRobot, count: int, rng: np.random.Generator) 
 @lru_cache(maxsize=2)
 def poses_in_the_measuring_space(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     """Joint angles (count, 4) and sphere centres (count, 3) at random in the space that the paper's spheres span."""
-    robot, rng = GrindingRobot(), np.random.default_rng(seed)
+    robot, rng = _first_robot(), np.random.default_rng(seed)
     azimuths, reaches = np.radians([a for a, _ in LAYER_POSITIONS]), [r for _, r in LAYER_POSITIONS]
     low, high = JOINT_LIMITS_RAD.T
     low, high = np.append([azimuths.min() - 0.3], low[1:]), np.append([azimuths.max() + 0.3], high[1:])
@@ -145,7 +145,12 @@ def poses_in_the_measuring_space(count: int, seed: int = 0) -> tuple[Floats, Flo
 
 def robot_number(serial: int) -> GrindingRobot:
     """The robot with another scanner of the same make: another field distortion, another scale error."""
-    return GrindingRobot(scanner=StructuredLightScanner(serial=serial))
+    return replace(_first_robot(), scanner=StructuredLightScanner(serial=serial))
+
+
+@lru_cache(maxsize=1)
+def _first_robot() -> GrindingRobot:
+    return GrindingRobot()
 
 
 def aligned_tracker(quiet: bool = False) -> LaserTracker:
@@ -156,7 +161,7 @@ def aligned_tracker(quiet: bool = False) -> LaserTracker:
 @lru_cache(maxsize=4)
 def paper_plan(seed: int = 0) -> CalibrationPlan:
     """The paper's 9 spheres x 6 directions to train with and 10 x 6 to test with, for the nominal arm."""
-    return calibration_plan(GrindingRobot(), np.random.default_rng(seed))
+    return calibration_plan(_first_robot(), np.random.default_rng(seed))
 
 
 def calibration_trial(rng: np.random.Generator, plan_seed: int = 0) -> dict[str, float]:
@@ -172,8 +177,8 @@ def calibration_trial(rng: np.random.Generator, plan_seed: int = 0) -> dict[str,
     ours = calibrate(measurements, robot.nominal, Options(base_fixed=True), coarse)
     printed = calibrate(measurements, robot.nominal, Options(base_fixed=True, variant="paper"), coarse)
     test = measurements.rows(~measurements.train)
-    there = random_readings(robot, 200, np.random.default_rng(0))
-    here = noise_free(robot, *poses_in_the_measuring_space(250))
+    there = random_readings(robot, 120, np.random.default_rng(0))
+    here = noise_free(robot, *poses_in_the_measuring_space(120))
     inside = within_one_std(ours, robot)
     error = ours.errors(train=False)
     return {
@@ -222,7 +227,7 @@ def source_trial(rng: np.random.Generator, source: str) -> dict[str, float]:
 @lru_cache(maxsize=2)
 def candidate_poses(spheres: int, seed: int = 4) -> CalibrationPlan:
     """Poses all over the reach to choose from: ``spheres`` places, eight directions each."""
-    robot, rng = GrindingRobot(), np.random.default_rng(seed)
+    robot, rng = _first_robot(), np.random.default_rng(seed)
     q, centres = [], []
     while len(q) < spheres:
         azimuth, reach, height = rng.uniform([-2.9, 350, -250], [2.9, 850, 350])
@@ -245,7 +250,7 @@ def part_of(plan: CalibrationPlan, rows: ArrayLike) -> CalibrationPlan:
 @lru_cache(maxsize=16)
 def optimal_poses(spheres: int, count: int) -> PoseChoice:
     """D-optimal choice of ``count`` candidates, with the nominal cell and the noise foreseen: nothing of the truth."""
-    robot, plan = GrindingRobot(), candidate_poses(spheres)
+    robot, plan = _first_robot(), candidate_poses(spheres)
     cell = ScannerOnArm(robot.nominal, robot.T_joint4_scanner_nominal, np.eye(4))
     poses, centres = robot.believed_poses(plan.q_rad), plan.centres_mm[plan.sphere]
     seen = np.einsum("mji,mj->mi", poses[:, :3, :3], centres - poses[:, :3, 3])
@@ -266,7 +271,7 @@ def pose_trial(rng: np.random.Generator, choice: str, count: int, spheres: int) 
         rows = rng.choice(np.flatnonzero(plan.train), count, replace=False)
     measurements = measurements_of(measured(part_of(plan, rows), robot, tracker, rng, every=None))
     fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
-    there = random_readings(robot, 200, np.random.default_rng(0))
+    there = random_readings(robot, 120, np.random.default_rng(0))
     return {"true": float(there.errors_mm(fit.cell, tracker).mean())}
 
 
