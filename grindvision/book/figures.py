@@ -91,8 +91,8 @@ def save_table(table: pd.DataFrame, name: str, caption: str) -> None:
 
 
 def csv_text(table: pd.DataFrame) -> str:
-    """A table as CSV with eight significant digits and Unix line ends: what the book compares and commits."""
-    return table.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    """A table as CSV with seven significant digits and Unix line ends: what the book compares and commits."""
+    return table.to_csv(index=False, float_format="%.7g", lineterminator="\n")
 
 
 def markdown_table(table: pd.DataFrame) -> str:
