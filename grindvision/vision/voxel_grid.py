@@ -65,16 +65,16 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
     origin = np.asarray(origin_mm, dtype=float)
     if not (np.isfinite(size_mm) and size_mm > 0):
         raise InputError(f"the voxel size is {size_mm} mm; it must be above zero")
-    scaled = np.floor((points - origin) / size_mm)
-    low, high = scaled.min(axis=0), scaled.max(axis=0)
+    # Column by column: NumPy's minima along contiguous rows are many times faster than along columns.
+    scaled = np.floor((np.ascontiguousarray(points.T) - origin[:, None]) / size_mm)
+    low, high = scaled.min(axis=1), scaled.max(axis=1)
     extent = high - low + 1
     if np.prod(extent) >= 2.0**62 or max(np.abs(low).max(), np.abs(high).max()) >= 2.0**53:
         raise InputError(
             f"voxels of {size_mm} mm over {np.ptp(points, axis=0).max():.3g} mm are too many to number; use larger ones"
         )
-    offsets = (scaled - low).astype(np.int64)
-    columns, layers = int(extent[1]), int(extent[2])
-    keys = (offsets[:, 0] * columns + offsets[:, 1]) * layers + offsets[:, 2]
+    i, j, k = (scaled - low[:, None]).astype(np.int64)
+    keys = (i * int(extent[1]) + j) * int(extent[2]) + k
     order = np.argsort(keys)
     sorted_keys = keys[order]
     first = np.concatenate([[True], sorted_keys[1:] > sorted_keys[:-1]])
@@ -83,7 +83,7 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
     voxel_of_point = np.empty(len(keys), dtype=np.int64)
     voxel_of_point[order] = np.cumsum(first) - 1
     centroids = points[0] + _means(points - points[0], voxel_of_point, counts)
-    cells = offsets[order[starts]] + low.astype(np.int64)
+    cells = np.column_stack([axis[order[starts]] for axis in (i, j, k)]) + low.astype(np.int64)
     return VoxelGrid(centroids, counts, cells, voxel_of_point, float(size_mm), origin)
 
 
