@@ -9,7 +9,7 @@ from grindvision.calibration.accurate import (
     calibrate,
 )
 from grindvision.calibration.coarse import CoarseCalibration, best_fit, coarse_start, three_point
-from grindvision.calibration.estimate import Spreads, noise_covariances, residuals_of, unit_sizes
+from grindvision.calibration.estimate import Spreads, noise_covariances, residuals_of, unit_sizes, whitened_design
 from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_rows
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
 from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements, read_measurements
@@ -62,4 +62,5 @@ __all__ = [
     "table_entries",
     "three_point",
     "unit_sizes",
+    "whitened_design",
 ]

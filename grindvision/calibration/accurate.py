@@ -149,12 +149,14 @@ def calibrate(
         fit = _linear_step(coarse, unknowns, training, options.tolerance)
     else:
         fit = _iterated(coarse, arm, unknowns, training, options)
-    warnings += check_fit(coarse, fit.cell, training, fit.kept, options.base_fixed)
+    warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
     warnings += far_from_nominal(fit.cell.arm, arm)
     if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
     warnings += [f"left out, it contradicts the others: {measurements.label(row)}" for row in dropped]
+    odd = np.flatnonzero(~measurements.train & ~_consistent(fit, unknowns, training, measurements))
+    warnings += [f"a test row contradicts the calibration: {measurements.label(row)}" for row in odd]
     used = training.rows(fit.kept)
     rows = whitened_design(fit.cell, unknowns, used, fit.spreads)
     return Calibration(
@@ -215,14 +217,19 @@ def _fit_rows(
     return _Fit(cell, spreads, kept, steps + more, converged)
 
 
-def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements) -> Flags:
-    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out leaves more."""
-    noise = noise_covariances(fit.cell, training, fit.spreads)
-    design = design_matrix(fit.cell, training.q_rad, training.scanner_mm, unknowns)
+def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements, unseen: Measurements | None = None) -> Flags:
+    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out or unseen leaves more.
+
+    The rows are those of ``unseen`` where it is given, else the training rows.
+    """
+    judged = training if unseen is None else unseen
+    noise = noise_covariances(fit.cell, judged, fit.spreads)
+    design = design_matrix(fit.cell, judged.q_rad, judged.scanner_mm, unknowns)
     covariance = posterior_covariance(fit.cell, unknowns, training.rows(fit.kept), fit.spreads)
     pull = design @ covariance @ np.swapaxes(design, 1, 2)
-    expected = np.where(fit.kept[:, None, None], noise - 0.95 * pull, noise + pull)
-    return consistent_rows(residuals_of(fit.cell, training), expected)
+    was_fitted = fit.kept if unseen is None else np.zeros(len(judged), dtype=bool)
+    expected = np.where(was_fitted[:, None, None], noise - 0.95 * pull, noise + pull)
+    return consistent_rows(residuals_of(fit.cell, judged), expected)
 
 
 def _linear_step(coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float) -> _Fit:

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.arm import PARAMETERS, MdhArm
+from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, entry_name
 from grindvision.calibration.starts import closed_form_error, median_error
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 
 Flags = NDArray[np.bool_]
+Change = Callable[[Measurements], Measurements]
 
 #: A fit that leaves more than this is looked at twice; real arms and sphere scans leave a tenth of it.
 SUSPICIOUS_MM = 1.5
@@ -71,22 +73,42 @@ def without_copies(measurements: Measurements) -> Flags:
 
 
 def check_fit(
-    coarse: ScannerOnArm, cell: ScannerOnArm, training: Measurements, kept: Flags, base_fixed: bool
+    coarse: ScannerOnArm,
+    cell: ScannerOnArm,
+    measurements: Measurements,
+    fitted: NDArray[np.int64],
+    kept: Flags,
+    base_fixed: bool,
 ) -> list[str]:
-    """Look at a fit that leaves too much, find the reason, and return what stays unexplained as a warning.
+    """Look at a fit that leaves or drops too much, find the reason, and return what stays unexplained as a warning.
+
+    Args:
+        coarse, cell: before and after the fit.
+        measurements: all rows; ``fitted`` numbers those the fit was given, ``kept`` marks which of these it kept.
+        fitted, kept: see above.
+        base_fixed: whether the tracker's frame was taken as the base.
 
     Raises:
         UnitError, InputError: degrees, metres, a joint that counts the other way, or a shifted pairing explains the
-        data far better.
-        DegenerateError: half of the rows or more contradict the rest.
+            data far better; or nothing does.
+        DegenerateError: a third of the rows or more contradict the rest.
     """
+    training = measurements.rows(fitted)
     typical = median_error(cell, training)
-    if typical <= SUSPICIOUS_MM and kept.mean() > 0.7:
+    if typical <= SUSPICIOUS_MM and kept.mean() > 0.95:
         return []
+    if typical <= SUSPICIOUS_MM:
+        for reason, changed in _shifts():
+            errors = np.linalg.norm(residuals_of(cell, changed(measurements).rows(fitted)), axis=1)
+            agree = float((errors < 6 * typical).mean())
+            if agree > max(0.95, kept.mean()):
+                raise InputError(f"{reason}: then {agree:.0%} of the rows agree instead of {kept.mean():.0%}; mend it")
+        if kept.mean() > 0.7:
+            return []
     as_given = median_error(coarse, training)
-    for reason, kind, changed in _explanations(training):
+    for reason, kind, changed in _explanations(measurements):
         try:
-            left = closed_form_error(changed(training), coarse.arm, base_fixed)
+            left = closed_form_error(changed(measurements).rows(fitted), coarse.arm, base_fixed)
         except GrindvisionError:
             continue
         if left < 0.2 * as_given:
@@ -136,21 +158,21 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
             raise UnitError(f"columns {name}x_mm to {name}z_mm reach only {size.max():.4g}: metres? give millimetres")
 
 
-def _explanations(
-    measurements: Measurements,
-) -> list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]]:
-    found: list[tuple[str, type[GrindvisionError], Callable[[Measurements], Measurements]]] = []
-    for column, what in (("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans")):
-        for shift in (1, -1):
-            found.append(
-                (
-                    f"the rows of {what} are shifted by {shift} against the other columns",
-                    InputError,
-                    lambda m, column=column, shift=shift: replace(
-                        m, **{column: np.roll(getattr(m, column), -shift, axis=0)}
-                    ),
-                )
-            )
+def _shifts() -> list[tuple[str, Change]]:
+    return [
+        (
+            f"the rows of {what} are shifted by {shift} against the other columns",
+            lambda m, column=column, shift=shift: replace(m, **{column: np.roll(getattr(m, column), -shift, axis=0)}),
+        )
+        for column, what in (("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans"))
+        for shift in (1, -1)
+    ]
+
+
+def _explanations(measurements: Measurements) -> list[tuple[str, type[GrindvisionError], Change]]:
+    found: list[tuple[str, type[GrindvisionError], Change]] = [
+        (reason, InputError, changed) for reason, changed in _shifts()
+    ]
     for joint in range(measurements.q_rad.shape[1]):
         for factor, reason, kind in (
             (np.pi / 180, "looks like degrees", UnitError),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -111,11 +112,14 @@ def read_measurements(path: str | Path, joints: int) -> Measurements:
     """
     angles = [f"q{i + 1}_rad" for i in range(joints)]
     seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
-    table = read_table(path, (*angles, *seen, *measured), texts=("pose", "sphere"))
-    if f"q{joints + 1}_rad" in table.columns:
+    table = read_table(path, (*seen, *measured), texts=("pose", "sphere"))
+    columns = sum(re.fullmatch(r"q\d+_rad", column) is not None for column in table.columns)
+    if columns != joints:
         raise FileError(
-            f"{path}: column q{joints + 1}_rad, but the robot table has {joints} joints; use the table that fits"
+            f"{path}: {columns} columns of joint angles (q1_rad ...), but the robot table has {joints} joints;"
+            " give the table up to the joint that carries the scanner"
         )
+    table = read_table(path, (*angles, *seen, *measured))
     train = None
     if "split" in table.columns:
         split = table["split"].astype(str).str.strip()
