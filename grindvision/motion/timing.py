@@ -70,6 +70,8 @@ def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, sampl
     arc = path.trajectory.arc_mm
     speed = np.append(_USED * limits.speed_rad_s, tool_speed_mm_s)
     acceleration = np.append(_USED * limits.acceleration_rad_s2, TOOL_ACCELERATION)
+    # The spline bends most at its knots: the grid has every one of them, and as many points in between as it takes.
+    per_gap = max(8, 400 // len(arc))
     logging.getLogger("toppra").setLevel(logging.ERROR)
     solver = TOPPRA(
         [
@@ -77,7 +79,7 @@ def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, sampl
             JointAccelerationConstraint(np.column_stack([-acceleration, acceleration])),
         ],
         toppra.SplineInterpolator(arc, np.column_stack([path.q_rad, arc])),
-        gridpoints=np.linspace(0.0, arc[-1], max(400, 8 * len(arc))),
+        gridpoints=np.interp(np.linspace(0, len(arc) - 1, per_gap * (len(arc) - 1) + 1), np.arange(len(arc)), arc),
         parametrizer="ParametrizeConstAccel",
     )
     run = solver.compute_trajectory(0, 0)
