@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
+from grindvision.vision.bending import refine_bent
 from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.icp import FineRegistration, icp_planes
 from grindvision.vision.sac_ia import propose_poses
@@ -99,7 +100,7 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     clock.lap("verification")
     registration = refine(good, seen, coarse, rng)
     clock.lap("icp")
-    difference = find_difference(good, seen, registration.T_target_source)
+    difference = find_difference(good, seen, registration)
     clock.lap("difference")
     beads = tuple(trace_bead(cluster, options.points) for cluster in difference.clusters)
     clock.lap("path")
@@ -126,16 +127,12 @@ def propose(sample: Scan, test: Scan, rng: np.random.Generator) -> tuple[Scan, F
 def refine(
     sample: Scan, test: Scan, coarse: VerifiedPose, rng: np.random.Generator, points: int = 8_000
 ) -> FineRegistration:
-    """Point-to-plane ICP on fine surfels, from the verified pose."""
+    """Point-to-plane ICP on fine surfels from the verified pose, then once more with a smooth bending allowed."""
     chosen = rng.permutation(len(test.surfels))[:points]
+    places, normals = test.surfels.points[chosen], test.surfels.normals[chosen]
     size = sample.surfels.grid.size_mm
-    return icp_planes(
-        test.surfels.points[chosen],
-        test.surfels.normals[chosen],
-        sample.surfels,
-        coarse.registration.T_target_source,
-        2 * size,
-    )
+    found = icp_planes(places, normals, sample.surfels, coarse.registration.T_target_source, 2 * size)
+    return refine_bent(places, normals, sample.surfels, found)
 
 
 class _Clock:

@@ -3,7 +3,7 @@
 The paper keeps test points farther than a threshold from their nearest sample point: ``difference_paper``. Ours measures
 along the sample's normal, against its surface and not its points, and asks whether a difference is more than noise: the
 level of detection of M3C2 (Lague 2013), 1.96 standard deviations of the two surfaces' noise, of their roughness where
-planes fit badly, and of what registration and scanner distortion leave over the whole field. Surface that one of the two
+planes fit badly, of the pose, and of what scanner distortion leaves over the whole field. Surface that one of the two
 scans does not show (shadows, outline) is not a difference.
 """
 
@@ -21,8 +21,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
-from grindvision.geometry import check_points, move_points
+from grindvision.geometry import check_points, inverse, move_points, turn_vectors
 from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest_one, within_radius
+from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surfels import Surfels
 
@@ -35,6 +36,9 @@ MOST_CHANGED = 0.4
 
 MOST_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
+
+LEAST_SPREAD = 0.4
+"""A piece whose feet cover fewer cells of the good surface than this share of its own is a wall seen in one scan only."""
 
 
 @dataclass(frozen=True)
@@ -111,18 +115,17 @@ def difference_paper(
     return distances**2 > threshold_mm if squared else distances > threshold_mm
 
 
-def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_surfels: int = 10) -> Difference:
+def find_difference(sample: Scan, test: Scan, registration: FineRegistration, least_surfels: int = 10) -> Difference:
     """Where the test part stands out of the sample by more than the level of detection.
 
     Args:
-        T_sample_test: the registration.
+        registration: pose T_sample_test of the test scan, with its covariance.
         least_surfels: connected surfels a piece must have.
 
     Raises:
         DegenerateError: more than ``MOST_CHANGED`` of the common surface differs.
     """
-    transform = np.asarray(T_sample_test, dtype=float)
-    back = np.linalg.inv(transform)
+    back = inverse(registration.T_target_source)
     good = surface_in_frame(sample.surfels, back)
     surfels = test.surfels
     size = good.grid.size_mm
@@ -137,6 +140,7 @@ def find_difference(sample: Scan, test: Scan, T_sample_test: ArrayLike, least_su
         raise DegenerateError("after registration the scans share no surface; scan the part from nearer views")
     spread = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
     field = max(spread**2 - np.median(variance[shown]), 0.0)
+    variance = variance + _pose_variance(registration, surfels.points, normals)
     level = 1.96 * np.sqrt(variance + field)
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * spread)
     if changed.sum() > MOST_CHANGED * shown.sum():
@@ -172,6 +176,16 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
             np.concatenate(column) for column in zip(*pool.map(blended, halves), strict=True)
         )
     return heights, normals, variances
+
+
+def _pose_variance(registration: FineRegistration, points: Floats, normals: Floats) -> Floats:
+    """Variance (N,) of heights that comes from the pose: steep places feel shifts across the surface."""
+    if not np.isfinite(registration.covariance).all():
+        return np.zeros(len(points))
+    transform = registration.T_target_source
+    up = turn_vectors(transform, normals)
+    jacobian = np.column_stack([up, np.cross(move_points(transform, points) - registration.centre_mm, up)])
+    return np.einsum("ij,jk,ik->i", jacobian, registration.covariance, jacobian)
 
 
 def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
@@ -265,7 +279,8 @@ def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals
         up[high] = normals[owner]
         heights[high] = signed[owner] + ((points[high] - test.surfels.points[owner]) * normals[owner]).sum(axis=1)
     standing = heights > 0
-    if standing.sum() < 3:
+    feet = points[standing] - heights[standing, None] * up[standing]
+    if len(feet) < 3 or len(build_cells(feet, size).starts) - 1 < LEAST_SPREAD * len(members):
         return None
     area = len(members) * size**2 / 1.5
     peak = float(np.quantile(heights[standing], 0.98))

@@ -36,7 +36,11 @@ LEAST_AGREEMENT = 0.55
 """Least share of the overlapping surface that must agree; below, the scans show different surfaces."""
 
 LEAST_OVERLAP = 0.2
-"""Least share of the source that must lie over the target's surface."""
+"""Least share of the source that must lie over the target's surface; of a larger source, the share it could cover."""
+
+
+LEAST_SCORE = 0.2
+"""Least difference between the agreeing and the contradicting share of the source."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,12 @@ def choose_pose(
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     candidates.sort(key=lambda candidate: -candidate[1].score)
     best, verdict = candidates[0]
-    if verdict.overlap < LEAST_OVERLAP or verdict.share < LEAST_AGREEMENT:
+    covered = min(1.0, len(target.surfels) / len(source.surfels))
+    if (
+        verdict.score < LEAST_SCORE * covered
+        or verdict.overlap < LEAST_OVERLAP * covered
+        or verdict.share < LEAST_AGREEMENT
+    ):
         raise DegenerateError(
             f"the two scans do not fit: at the best pose {verdict.overlap:.0%} overlap and {verdict.share:.0%} of that agrees within"
             f" {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed); are they scans of the same part, from nearby views?"
@@ -133,13 +142,13 @@ def choose_pose(
         default=Agreement(0.0, 0.0),
     )
     margin = verdict.score - max(rival.score, 0.0)
-    if margin < LEAST_MARGIN:
+    if margin < LEAST_MARGIN * covered:
         other = next(other for other, v in rivals if v is rival)
         raise DegenerateError(
             f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as well"
             f" ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows what breaks the symmetry"
         )
-    return VerifiedPose(best, verdict, rival, float(np.clip(margin / SURE_MARGIN, 0, 1)) * verdict.share)
+    return VerifiedPose(best, verdict, rival, float(np.clip(margin / (SURE_MARGIN * covered), 0, 1)) * verdict.share)
 
 
 class _Judge:
@@ -209,19 +218,24 @@ class _Judge:
         """Slide along the three motions the surface resists least; refuse when the scans fit there as well."""
         scale = np.array([1, 1, 1, 1 / self.extent, 1 / self.extent, 1 / self.extent])
         _, directions = np.linalg.eigh(best.information * np.outer(scale, scale))
-        slides = 0.12 * self.extent * directions.T[:3] * scale
         to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
-        found = self.refined_all(back @ small_motion(slide) @ to_centre @ best.T_target_source for slide in slides)
-        free = [
-            self.motion_name(slid.T_target_source, best.T_target_source)
-            for slid, seen in found
-            if self.differ(slid.T_target_source, best.T_target_source)
-            and seen.share > verdict.share - LEAST_MARGIN
-            and seen.overlap > 0.7 * verdict.overlap
-        ]
-        if free:
+        resisted_least = directions[:, :3]
+        free = []
+        for twist in resisted_least.T:
+            slid = self.refined(
+                back @ small_motion(0.12 * self.extent * twist * scale) @ to_centre @ best.T_target_source
+            )
+            free.append(
+                slid is not None
+                and self.differ(slid[0].T_target_source, best.T_target_source)
+                and slid[1].share > verdict.share - LEAST_MARGIN
+                and slid[1].overlap > 0.7 * verdict.overlap
+            )
+        if any(free):
+            names = _motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)
             raise DegenerateError(
-                f"the registration is ambiguous, free motion: {'; '.join(free)}; the part shows nothing that fixes it there, scan more of the part or a part with features"
+                f"the registration is ambiguous, free motion: {'; '.join(names)};"
+                " the part shows nothing that fixes it there, scan more of the part or a part with features"
             )
 
     def motion_name(self, pose: Floats, reference: Floats) -> str:
@@ -240,6 +254,29 @@ class _Judge:
             )
         x, y, z = shift / np.linalg.norm(shift)
         return f"a shift (here by {np.linalg.norm(shift):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def _motion_names(twists: Floats, extent: float, centre: Floats) -> list[str]:
+    """In words, a basis of the motions that columns of ``twists`` (6, k) span: pure shifts first, then turns.
+
+    A twist is a shift in mm and a rotation vector in rad about ``centre`` (3,).
+    """
+    scaled = twists / np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])[:, None] / extent
+    _, turning, mix = np.linalg.svd(scaled[3:])
+    turning = np.pad(turning, (0, max(scaled.shape[1] - len(turning), 0)))[: scaled.shape[1]]
+    basis = scaled @ mix.T
+    shifts = basis[:3, turning < 0.3]
+    names = ["a shift along ({:.2f}, {:.2f}, {:.2f})".format(*(shift / np.linalg.norm(shift))) for shift in shifts.T]
+    along = np.linalg.qr(shifts)[0] if shifts.size else np.zeros((3, 0))
+    for column in basis[:, turning >= 0.3].T:
+        rotation = column[3:]
+        shift = (column[:3] - along @ (along.T @ column[:3])) * extent
+        pivot = centre + np.cross(rotation, shift) / (rotation @ rotation)
+        axis = rotation / np.linalg.norm(rotation)
+        names.append(
+            "a turn about the axis ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*axis, *pivot)
+        )
+    return names
 
 
 def _tolerance(source: Surfels, target: Surfels) -> float:

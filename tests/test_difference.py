@@ -1,0 +1,205 @@
+"""The difference cloud, its level of detection, and the paths along beads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, view
+from scipy.spatial import cKDTree
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.vision.bead_path import trace_bead
+from grindvision.vision.boxes import box_path, minimal_box
+from grindvision.vision.detect import DetectOptions, detect
+from grindvision.vision.difference import Cluster, difference_paper, find_difference, heights_above
+from grindvision.vision.surfels import build_surfels
+
+
+@pytest.fixture(scope="module")
+def bead():
+    return arc_bead()
+
+
+@pytest.fixture(scope="module")
+def case(bead):
+    return pair(seed=2, n_points=120_000, beads=[bead])
+
+
+@pytest.fixture(scope="module")
+def found(case):
+    return detect(case.sample, case.test)
+
+
+def to_ridge(points, ridge_part, T_test_part):
+    return cKDTree(move_points(T_test_part, ridge_part)).query(points)[0]
+
+
+def test_the_path_follows_the_true_ridge(found, case, bead):
+    assert len(found.beads) == 1
+    away = to_ridge(found.path_points, bead.ridge(), case.T_test_part)
+    assert away.mean() < 0.06
+    assert away.max() < 0.15
+    assert found.beads[0].height_mm == pytest.approx(1.5, abs=0.05)
+    assert found.beads[0].length_mm == pytest.approx(30, rel=0.1)
+
+
+def test_the_normals_are_those_of_the_good_surface(found, case, bead):
+    x, y = bead.line.T
+    step = 1e-3
+    slope = [
+        plate_height(x + step, y) - plate_height(x - step, y),
+        plate_height(x, y + step) - plate_height(x, y - step),
+    ]
+    normals = np.column_stack([-np.array(slope).T / (2 * step), np.ones(len(x))])
+    _, at = cKDTree(move_points(case.T_test_part, bead.ridge())).query(found.path_points)
+    off = np.degrees(vector_angle(found.path_normals, turn_vectors(case.T_test_part, normals[at])))
+    assert np.median(off) < 1.5
+    np.testing.assert_allclose(np.linalg.norm(found.path_normals, axis=1), 1)
+    np.testing.assert_array_equal(found.beads[0].tool_axes(), -found.beads[0].normals)
+
+
+def test_path_points_stand_in_the_middle_of_equal_parts(found):
+    one = trace_bead(found.difference.clusters[0], 1)
+    steps = np.linalg.norm(np.diff(found.path_points, axis=0), axis=1)
+    assert np.ptp(steps) < 0.05 * steps.mean()
+    np.testing.assert_allclose(one.points[0], found.path_points[2:4].mean(axis=0), atol=0.3)
+    assert found.path_points[0, 0] < found.path_points[-1, 0]
+    with pytest.raises(InputError, match="at least 1"):
+        trace_bead(found.difference.clusters[0], 0)
+
+
+def test_the_path_moves_with_the_test_scan(found, case):
+    T_other_test = rigid(random_rotation(np.random.default_rng(5)), (5.0, -7.0, 12.0))
+    options = DetectOptions(viewpoint_test_mm=T_other_test[:3, 3])
+    moved = detect(case.sample, move_points(T_other_test, case.test), options)
+    back = move_points(inverse(T_other_test), moved.path_points)
+    away = np.minimum(
+        np.linalg.norm(back - found.path_points, axis=1), np.linalg.norm(back[::-1] - found.path_points, axis=1)
+    )
+    assert away.max() < 0.1
+
+
+def test_a_good_part_has_nothing_to_grind():
+    for seed in range(3):
+        same = pair(seed=seed, n_points=40_000)
+        found = detect(same.sample, same.test)
+        assert found.beads == ()
+        assert found.path_points.shape == (0, 3)
+        assert "nothing to grind above the level of detection of 0." in str(found)
+
+
+def test_a_cavity_is_no_bead():
+    dent = arc_bead(height_mm=-1.5)
+    found = detect(*(getattr(pair(seed=4, beads=[dent]), name) for name in ("sample", "test")))
+    assert found.beads == ()
+    assert np.nanmin(found.difference.signed_mm) < -1
+
+
+def test_another_part_is_refused(case):
+    def other(x, y):
+        return plate_height(x, y) + 4 * np.sin(x / 9) * np.cos(y / 7)
+
+    with pytest.raises(DegenerateError):
+        detect(case.sample, scan(other, view(0.2), 40_000, np.random.default_rng(1)))
+
+
+def test_several_beads_come_largest_first():
+    beads = [arc_bead(), Bead(np.column_stack([np.linspace(-80, -60, 800), np.full(800, -10.0)]), 3.0, 1.0)]
+    two = pair(seed=6, n_points=90_000, beads=beads)
+    found = detect(two.sample, two.test)
+    assert len(found.beads) == 2
+    assert found.beads[0].length_mm > found.beads[1].length_mm
+    for bead, truth in zip(found.beads, beads, strict=True):
+        assert to_ridge(bead.points, truth.ridge(), two.T_test_part).max() < 0.2
+    assert len(found.path_points) == 12
+
+
+def test_a_closed_bead_is_walked_round_once():
+    ring = ring_bead()
+    closed = pair(seed=7, n_points=90_000, beads=[ring])
+    found = detect(closed.sample, closed.test, DetectOptions(points=8)).beads[0]
+    assert found.closed
+    assert found.length_mm == pytest.approx(2 * np.pi * 12, rel=0.03)
+    assert to_ridge(found.points, ring.ridge(), closed.T_test_part).max() < 0.2
+    steps = np.linalg.norm(np.diff(np.vstack([found.points, found.points[:1]]), axis=0), axis=1)
+    assert np.ptp(steps) < 0.1 * steps.mean()
+    turns = np.cross(found.points - found.points.mean(axis=0), np.roll(found.points, -1, axis=0) - found.points)
+    assert (turns @ found.normals.mean(axis=0) > 0).all()
+
+
+def test_a_branching_bead_is_refused_by_name():
+    stem = np.column_stack([np.linspace(-25, 25, 1500), np.full(1500, 0.0)])
+    arm = np.column_stack([np.full(800, 0.0), np.linspace(0, 25, 800)])
+    fork = pair(seed=8, n_points=90_000, beads=[Bead(np.vstack([stem, arm]))])
+    with pytest.raises(DegenerateError, match="branches near"):
+        detect(fork.sample, fork.test)
+
+
+def test_heights_are_signed_distances_from_the_surface(rng):
+    x, y = rng.uniform(0, 50, size=(2, 60_000))
+    surfels = build_surfels(np.column_stack([x, y, 0.2 * x]), 2.0)
+    up = np.array([-0.2, 0, 1]) / np.linalg.norm([0.2, 0, 1])
+    surfels = replace(surfels, normals=np.where((surfels.normals @ up < 0)[:, None], -surfels.normals, surfels.normals))
+    spots = np.column_stack([rng.uniform(5, 45, size=(200, 2)), np.zeros(200)])
+    spots[:, 2] = 0.2 * spots[:, 0]
+    asked = rng.uniform(-2, 2, 200)
+    heights, normals, _ = heights_above(surfels, spots + asked[:, None] * up, 4.0)
+    np.testing.assert_allclose(heights, asked, atol=1e-6)
+    np.testing.assert_allclose(normals @ up, 1, atol=1e-9)
+    beside, _, _ = heights_above(surfels, np.array([[70.0, 25, 14], [25, 25, 40]]), 4.0)
+    assert np.isnan(beside).all()
+
+
+def test_the_level_of_detection_covers_the_noise(case, found):
+    difference = found.difference
+    on_bead = cKDTree(difference.points).query(difference.surfels)[0] < 2
+    shown = ~np.isnan(difference.signed_mm) & ~on_bead
+    exceeding = np.mean(np.abs(difference.signed_mm[shown]) > difference.level_mm[shown])
+    assert exceeding < 0.08
+    noisy = pair(seed=2, n_points=60_000, noise_mm=0.12)
+    assert detect(noisy.sample, noisy.test).difference.level_of_detection_mm > 1.5 * difference.level_of_detection_mm
+
+
+def test_steep_places_are_less_certain_after_an_uncertain_registration(found):
+    unsure = replace(found.registration, covariance=np.diag([0.1, 0.1, 0.1, 0, 0, 0]) ** 2)
+    sure = replace(found.registration, covariance=np.zeros((6, 6)))
+    wide, narrow = (find_difference(found.sample, found.test, one).level_mm for one in (unsure, sure))
+    shown = ~np.isnan(found.difference.signed_mm)
+    assert (wide[shown] > np.hypot(narrow[shown], 0.19)).all()
+
+
+def test_the_paper_s_threshold_is_squared_in_pcl(rng):
+    sample = rng.uniform(0, 10, size=(500, 3))
+    test = sample[:100] + [0, 0, 0.6]
+    distances = cKDTree(sample).query(test)[0]
+    np.testing.assert_array_equal(difference_paper(sample, test, 0.5), distances > np.sqrt(0.5))
+    np.testing.assert_array_equal(difference_paper(sample, test, 0.5, squared=False), distances > 0.5)
+    with pytest.raises(InputError, match="above zero"):
+        difference_paper(sample, test, 0.0)
+
+
+def test_the_minimal_box_is_found_in_any_pose(rng):
+    size = np.array([30.0, 6.0, 2.0])
+    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
+    points = np.vstack([corners, rng.uniform(size=(300, 3))]) * size
+    for _ in range(3):
+        box = minimal_box(points @ random_rotation(rng).T + rng.normal(size=3))
+        np.testing.assert_allclose(box.size_mm, size, rtol=1e-9)
+        np.testing.assert_allclose(box.axes @ box.axes.T, np.eye(3), atol=1e-12)
+    with pytest.raises(DegenerateError, match="one plane"):
+        minimal_box(points * [1, 1, 0])
+
+
+def test_boxes_give_centroids_snapped_to_the_scan(rng):
+    points = rng.uniform(size=(3000, 3)) * [30, 3, 1]
+    path = box_path(points, points, np.tile([0.0, 0, 1], (len(points), 1)), 5)
+    np.testing.assert_allclose(path.centroids[:, 0], [3, 9, 15, 21, 27], atol=0.5)
+    assert all(np.isclose(points, point).all(axis=1).any() for point in path.points)
+
+
+def test_a_bead_of_few_points_is_refused(rng):
+    points = rng.uniform(size=(8, 3))
+    tiny = Cluster(points, np.ones(8), np.tile([0.0, 0, 1], (8, 1)), 1.0, 3.0, 3.0, 1.0)
+    with pytest.raises(DegenerateError, match="too few"):
+        trace_bead(tiny)

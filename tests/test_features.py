@@ -1,0 +1,140 @@
+"""Normals, surfels and FPFH: against plain twins, Open3D, and the laws they must keep."""
+
+import numpy as np
+import pytest
+from grinding_scene import pair, plate_height, scan, view
+from scipy.spatial import cKDTree
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
+from grindvision.vision.normals import estimate_normals, guess_viewpoint, least_spread, orient_by_neighbours
+from grindvision.vision.surfels import build_surfels, surface_area
+
+
+def plain_fpfh(points, normals, radius):
+    """Eqs 3-5 pair by pair, straight from the text."""
+    neighbours = cKDTree(points).query_ball_point(points, radius)
+    simple = np.zeros((len(points), 33))
+    for p, around in enumerate(neighbours):
+        others = [q for q in around if q != p]
+        for q in others:
+            line = points[q] - points[p]
+            d = np.linalg.norm(line)
+            source, target = p, q
+            if abs(normals[p] @ line) < abs(normals[q] @ line):
+                source, target, line = q, p, -line
+            u = normals[source]
+            v = np.cross(line, u)
+            v /= np.linalg.norm(v)
+            w = np.cross(u, v)
+            n = normals[target]
+            angles = np.arctan2(w @ n, u @ n) / (2 * np.pi) + 0.5, (v @ n + 1) / 2, (u @ line / d + 1) / 2
+            for third, share in enumerate(angles):
+                simple[p, 11 * third + int(np.clip(11 * share, 0, 10))] += 100 / len(others)
+    full = simple.copy()
+    for p, around in enumerate(neighbours):
+        weighted = sum(simple[q] / np.sum((points[q] - points[p]) ** 2) for q in around if q != p)
+        for third in np.split(np.arange(33), 3):
+            full[p, third] += 100 * weighted[third] / weighted[third].sum()
+    return full
+
+
+@pytest.fixture(scope="module")
+def patch():
+    rng = np.random.default_rng(3)
+    points = scan(plate_height, view(0.2), 4000, rng, window=(20, 90, -10, 60), noise_mm=0.02)
+    return points, estimate_normals(points, 4.0, 30, np.zeros(3))
+
+
+def test_fpfh_is_the_plain_twin_s(patch):
+    points, normals = patch[0][:600], patch[1][:600]
+    np.testing.assert_allclose(compute_fpfh(points, normals, 5.0), plain_fpfh(points, normals, 5.0), atol=1e-9)
+
+
+def test_fpfh_is_open3d_s_on_the_same_neighbourhoods(patch):
+    o3d = pytest.importorskip("open3d")
+    points, normals = patch
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    search = o3d.geometry.KDTreeSearchParamHybrid(radius=6.0, max_nn=50)
+    theirs = np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, search).data).T
+    np.testing.assert_allclose(compute_fpfh(points, normals, 6.0, 50), theirs, atol=1e-8)
+
+
+def test_fpfh_does_not_see_the_pose_nor_the_unit(patch, rng):
+    points, normals = patch
+    T_other = rigid(random_rotation(rng), rng.normal(size=3) * 50)
+    moved = compute_fpfh(move_points(T_other, points), turn_vectors(T_other, normals), 5.0)
+    here = compute_fpfh(points, normals, 5.0)
+    assert np.mean(np.abs(moved - here).max(axis=1) < 1e-6) > 0.97  # the rest sits on a bin's edge
+    in_metres = compute_fpfh(points / 1000, normals, 5.0 / 1000)
+    assert np.mean(np.abs(in_metres - here).max(axis=1) < 1e-6) > 0.97
+
+
+def test_reversed_normals_mirror_the_histogram(patch):
+    points, normals = patch
+    mirrored = mirrored_fpfh(compute_fpfh(points, normals, 5.0))
+    assert np.mean(np.abs(mirrored - compute_fpfh(points, -normals, 5.0)).max(axis=1) < 1e-6) > 0.97
+
+
+def test_fpfh_wants_a_normal_for_every_point(patch):
+    with pytest.raises(InputError, match="come in pairs"):
+        compute_fpfh(patch[0], patch[1][:-1], 5.0)
+
+
+def test_least_spread_is_the_smallest_eigenpair(rng):
+    for scale in (1e-8, 1.0, 1e6):
+        for _ in range(50):
+            a = rng.normal(size=(3, 3)) * [1, 0.5, 0.05]
+            matrix = scale * a.T @ a
+            value, *vector = least_spread(*matrix[np.triu_indices(3)])
+            values, vectors = np.linalg.eigh(matrix)
+            assert value == pytest.approx(values[0], abs=1e-10 * values[2])
+            assert abs(np.dot(vector, vectors[:, 0])) == pytest.approx(1, abs=1e-6)
+
+
+def test_normals_of_a_sphere_point_at_the_viewpoint(rng):
+    directions = rng.normal(size=(6000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    seen = directions[directions[:, 2] > 0.2]
+    normals = estimate_normals(seen * 50, 6.0, None, (0, 0, 500))
+    assert np.degrees(np.arccos(np.clip((normals * seen).sum(axis=1), -1, 1))).max() < 6
+    unseen_side = orient_by_neighbours(seen * 50, np.where(rng.random((len(seen), 1)) < 0.5, normals, -normals), 6.0)
+    assert ((unseen_side * seen).sum(axis=1) > 0).mean() > 0.999
+
+
+def test_the_viewpoint_is_guessed_only_where_it_can_be():
+    scanned = pair().sample
+    np.testing.assert_array_equal(guess_viewpoint(scanned), np.zeros(3))
+    assert guess_viewpoint(scanned - scanned.mean(axis=0)) is None
+    with pytest.raises(DegenerateError):
+        guess_viewpoint(np.empty((0, 3)))
+
+
+def test_surfels_lie_on_the_plane_and_know_the_noise(rng):
+    x, y = rng.uniform(0, 40, size=(2, 40_000))
+    points = np.column_stack([x, y, 0.3 * x - 0.2 * y + rng.normal(scale=0.05, size=x.size)])
+    surfels = build_surfels(points, 2.0)
+    assert surfels.counts.sum() == len(points)
+    normal = np.array([-0.3, 0.2, 1]) / np.linalg.norm([-0.3, 0.2, 1])
+    inner = (np.abs(surfels.points[:, :2] - 20) < 15).all(axis=1) & (surfels.counts > 30)
+    assert np.abs(surfels.normals[inner] @ normal).min() > 0.9998
+    assert np.median(surfels.noise_mm[inner]) == pytest.approx(0.05 * normal[2], rel=0.05)
+    assert np.median(surfels.roughness_mm[inner]) == pytest.approx(0.05 * normal[2], rel=0.05)
+
+
+def test_surfels_do_not_depend_on_the_order_of_points(rng):
+    points = pair(n_points=5000).sample
+    here, there = build_surfels(points, 3.0), build_surfels(points[rng.permutation(len(points))], 3.0)
+    sort = [np.lexsort(np.round(s.points, 6).T) for s in (here, there)]
+    np.testing.assert_allclose(here.points[sort[0]], there.points[sort[1]], atol=1e-9)
+    np.testing.assert_allclose(here.roughness_mm[sort[0]], there.roughness_mm[sort[1]], atol=1e-9)
+
+
+def test_the_area_of_a_square_is_about_right(rng):
+    points = np.column_stack([rng.uniform(0, 100, size=(200_000, 2)), np.zeros(200_000)])
+    tilted = points @ random_rotation(rng).T
+    assert surface_area(tilted) == pytest.approx(10_000, rel=0.35)
+    with pytest.raises(DegenerateError, match="coincide"):
+        surface_area(np.zeros((50, 3)))

@@ -1,0 +1,258 @@
+"""SAC-IA, verification and ICP."""
+
+import numpy as np
+import pytest
+from grinding_scene import pair, plate_height, scan, view
+
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import (
+    angle_between,
+    inverse,
+    move_points,
+    random_rotation,
+    rigid,
+    rotation_about,
+    small_motion,
+)
+from grindvision.vision.bending import refine_bent
+from grindvision.vision.detect import DetectOptions, detect
+from grindvision.vision.icp import icp_generalised, icp_planes, icp_points
+from grindvision.vision.normals import orient_to_viewpoint
+from grindvision.vision.sac_ia import huber, most_similar, propose_poses, refine_pose, sac_ia_paper
+from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
+from grindvision.vision.verification import choose_pose
+
+
+def errors(T_found, T_true, at):
+    """Rotation error in degrees and shift error in mm at a point."""
+    shift = np.linalg.norm(move_points(T_found, at) - move_points(T_true, at))
+    return float(np.degrees(angle_between(T_found, T_true))), float(shift)
+
+
+@pytest.fixture(scope="module")
+def easy():
+    return pair(seed=1, n_points=30_000)
+
+
+@pytest.fixture(scope="module")
+def prepared(easy):
+    return prepare_pair(easy.sample, easy.test)
+
+
+@pytest.fixture(scope="module")
+def close(easy):
+    """A start some tenths of a millimetre off."""
+    centre = move_points(easy.T_sample_test, easy.test.mean(axis=0))
+    return (
+        rigid(None, centre)
+        @ small_motion([0.4, -0.3, 0.3, 0.004, -0.003, 0.005])
+        @ rigid(None, -centre)
+        @ easy.T_sample_test
+    )
+
+
+def test_huber_is_quadratic_then_linear_and_smooth():
+    assert huber([0.5, -0.5], 1.0) == pytest.approx([0.125, 0.125])
+    assert huber(3.0, 1.0) == pytest.approx(2.5)
+    assert huber(1 + 1e-6, 1.0) - huber(1 - 1e-6, 1.0) == pytest.approx(2e-6, rel=1e-3)
+
+
+def test_most_similar_is_the_plain_search(rng):
+    a, b = rng.normal(size=(700, 33)), rng.normal(size=(900, 33))
+    expected = np.argsort(((a[:, None] - b[None]) ** 2).sum(axis=2), axis=1)[:, :4]
+    assert np.mean(most_similar(a, b, 4) == expected) > 0.999
+    with pytest.raises(InputError):
+        most_similar(a, b, 1000)
+
+
+def test_sac_ia_as_in_the_paper_comes_near(easy):
+    resolution = choose_resolution(easy.sample, voxels=600)
+    sample, test = (prepare_scan(points, resolution) for points in (easy.sample, easy.test))
+    found = sac_ia_paper(test.keypoints, sample.keypoints, np.random.default_rng(2), iterations=300)
+    turn, shift = errors(found.T_target_source, easy.T_sample_test, easy.test.mean(axis=0))
+    assert turn < 5
+    assert shift < 5
+
+
+def test_refinement_lowers_the_error_it_minimises(prepared, close):
+    good, seen = prepared
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(good.voxels.points)
+
+    def error(transform):
+        return huber(tree.query(move_points(transform, seen.voxels.points))[0], 2.0).mean()
+
+    start = close @ rigid(rotation_about((0, 0, 1), 0.01), (1.0, 0, 0))
+    assert error(refine_pose(seen.voxels.points, good.voxels.points, start, 2.0)) < 0.9 * error(start)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_start_leads_to_the_truth(easy, seed):
+    T_other_test = rigid(random_rotation(np.random.default_rng(seed)), (10.0, 20.0, -30.0))
+    moved = move_points(T_other_test, easy.test)
+    viewpoint = T_other_test[:3, 3]
+    found = detect(easy.sample, moved, DetectOptions(viewpoint_test_mm=viewpoint))
+    turn, shift = errors(found.T_sample_test @ T_other_test, easy.T_sample_test, easy.test.mean(axis=0))
+    assert turn < 0.02
+    assert shift < 0.03
+    assert found.confidence > 0.9
+
+
+def test_shallow_relief_and_partial_overlap_are_found():
+    hard = pair(seed=5, n_points=60_000, relief=0.2, overlap=0.6)
+    found = detect(hard.sample, hard.test)
+    turn, shift = errors(found.T_sample_test, hard.T_sample_test, hard.test.mean(axis=0))
+    assert turn < 0.2
+    assert shift < 0.3
+
+
+def test_the_same_seed_gives_the_same_pose(easy):
+    one, other = (detect(easy.sample, easy.test, DetectOptions(seed=7)) for _ in range(2))
+    np.testing.assert_array_equal(one.T_sample_test, other.T_sample_test)
+
+
+def test_a_scan_turned_inside_out_is_turned_back(easy):
+    middle = easy.sample.mean(axis=0)
+    found = detect(easy.sample - middle, easy.test - easy.test.mean(axis=0))
+    expected = rigid(None, -middle) @ easy.T_sample_test @ rigid(None, easy.test.mean(axis=0))
+    assert errors(found.T_sample_test, expected, np.zeros(3))[0] < 0.05
+
+
+def test_reversing_a_scan_twice_changes_nothing(prepared):
+    twice = reversed_scan(reversed_scan(prepared[0]))
+    np.testing.assert_array_equal(twice.keypoints.features, prepared[0].keypoints.features)
+    np.testing.assert_array_equal(twice.surfels.normals, prepared[0].surfels.normals)
+
+
+def bump(x, y, at, height=8.0, size=200.0):
+    return height * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / size)
+
+
+FREE = {
+    "plane": (lambda x, y: 0 * x, "shift"),
+    "sphere": (lambda x, y: np.sqrt(80**2 - x**2 - y**2), "turn"),
+    "cylinder": (lambda x, y: np.sqrt(90**2 - x**2), "shift"),
+    "two bumps": (lambda x, y: bump(x, y, (30, 0)) + bump(x, y, (-30, 0)), "turn .here by 180 deg"),
+    "square pocket": (
+        lambda x, y: -6 / (1 + np.exp((np.maximum(abs(x), abs(y)) - 25) / 0.8)),
+        "turn .here by (90|180)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_a_symmetric_part_is_refused_and_the_free_motion_named(name):
+    surface, motion = FREE[name]
+
+    def disc(x, y):
+        return np.hypot(x, y) < 62
+
+    window = (-65, 65, -65, 65)
+    sample = scan(surface, view(0.3, (1.0, 0.4, 0.2)), 25_000, np.random.default_rng(1), window=window, mask=disc)
+    test = scan(surface, view(-0.2, (0.3, 1.0, 0.5)), 25_000, np.random.default_rng(2), window=window, mask=disc)
+    with pytest.raises(DegenerateError, match=f"ambiguous.*{motion}"):
+        detect(sample, test)
+
+
+def test_scans_that_do_not_overlap_are_refused():
+    left = scan(plate_height, view(), 20_000, np.random.default_rng(1), window=(-100, -15, -70, 70))
+    right = scan(plate_height, view(0.3), 20_000, np.random.default_rng(2), window=(15, 100, -70, 70))
+    with pytest.raises(DegenerateError):
+        detect(left, right)
+
+
+def test_choose_pose_corrects_a_rough_guess_and_drops_wrong_ones(prepared, easy, close, rng):
+    good, seen = prepared
+    centre = seen.surfels.points.mean(axis=0)
+    wrong = close @ rigid(None, centre) @ rigid(rotation_about((0, 0, 1), 2.0)) @ rigid(None, -centre)
+    chosen = choose_pose(seen, good, np.stack([wrong, close]), rng)
+    assert errors(chosen.registration.T_target_source, easy.T_sample_test, centre)[0] < 0.1
+
+
+def test_proposals_are_distinct_and_hold_the_truth(prepared, easy, rng):
+    good, seen = prepared
+    poses, votes = propose_poses(seen.keypoints, good.keypoints, rng)
+    assert (np.diff(votes) <= 0).all()
+    turn, shift = errors(poses[0], easy.T_sample_test, easy.test.mean(axis=0))
+    assert turn < 5
+    assert shift < 5
+
+
+def test_the_pose_scatters_as_its_covariance_says(easy, close):
+    motions, stds = [], []
+    for seed in range(8):
+        case = pair(seed=40 + seed, n_points=20_000)
+        good, seen = prepare_pair(case.sample, case.test)
+        source, normals = seen.surfels.points, seen.surfels.normals
+        found = refine_bent(source, normals, good.surfels, icp_planes(source, normals, good.surfels, close))
+        to_centre = rigid(None, -move_points(case.T_sample_test, case.test.mean(axis=0)))
+        motion = to_centre @ found.T_target_source @ inverse(case.T_sample_test) @ inverse(to_centre)
+        motions.append([*motion[:3, 3], motion[2, 1], motion[0, 2], motion[1, 0]])
+        stds.append(np.sqrt(np.diag(found.covariance)))
+    ratio = np.std(motions, axis=0, ddof=1) / np.mean(stds, axis=0)
+    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 2.5
+
+
+def test_a_bent_field_is_not_taken_for_a_motion():
+    """A cubic bulge of the test scan's depth moves a shallow part's pose less when the bending is allowed for."""
+    flat = pair(seed=8, n_points=40_000, relief=0.3, noise_mm=0.01)
+    u, v = flat.test[:, 0] / 100, flat.test[:, 1] / 70
+    bent = flat.test * (1 + (0.1 * (u**3 - 0.6 * u) + 0.08 * u * v**2)[:, None] / 400)
+    good, seen = prepare_pair(flat.sample, bent)
+    source, normals = seen.surfels.points, seen.surfels.normals
+    stiff = icp_planes(source, normals, good.surfels, flat.T_sample_test)
+    free = refine_bent(source, normals, good.surfels, stiff)
+    at = flat.test.mean(axis=0)
+    off = [errors(found.T_target_source, flat.T_sample_test, at)[1] for found in (stiff, free)]
+    assert off[1] < 0.5 * off[0]
+
+
+def test_point_icp_never_gets_worse_and_stops_as_the_paper_says(easy, close):
+    found = icp_points(easy.test[::30], easy.sample[::10], close, tolerance_mm2=1e-5)
+    steps = np.diff(found.mean_squares_mm2)
+    assert (steps <= 1e-12).all()
+    assert found.converged
+    assert -steps[-1] < 1e-5
+    assert (-steps[:-1] >= 1e-5).all()
+
+
+def test_trimming_helps_where_the_scans_overlap_in_part(close):
+    part = pair(seed=3, n_points=30_000, overlap=0.7)
+    whole = icp_points(part.test[::30], part.sample[::10], close)
+    trimmed = icp_points(part.test[::30], part.sample[::10], close, keep=0.7)
+    at = part.test.mean(axis=0)
+    assert (
+        errors(trimmed.T_target_source, part.T_sample_test, at)[1]
+        < errors(whole.T_target_source, part.T_sample_test, at)[1]
+    )
+    with pytest.raises(InputError, match="share"):
+        icp_points(part.test[::30], part.sample[::10], keep=0.0)
+
+
+def test_generalised_icp_agrees_with_the_truth(easy, close):
+    found = icp_generalised(easy.test[::6], easy.sample[::3], close, most_mm=2.0)
+    turn, shift = errors(found.T_target_source, easy.T_sample_test, easy.test.mean(axis=0))
+    assert turn < 0.05
+    assert shift < 0.05
+    assert np.isfinite(found.covariance).all()
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+
+
+def test_scans_far_apart_share_no_pairs(easy, prepared):
+    far = rigid(None, (0, 0, 5000.0))
+    seen = prepared[1].surfels
+    with pytest.raises(DegenerateError, match="meet within"):
+        icp_planes(seen.points, seen.normals, prepared[0].surfels, far)
+    with pytest.raises(DegenerateError, match="meet within"):
+        icp_generalised(easy.test[::30], easy.sample[::30], far)
+    with pytest.raises(DegenerateError, match="pairs of points"):
+        icp_points(easy.test[::30], easy.sample[::30], far, most_mm=5.0)
+
+
+def test_orientation_follows_the_viewpoint(rng):
+    points = rng.normal(size=(100, 3)) + [0, 0, 50]
+    normals = rng.normal(size=(100, 3))
+    turned = orient_to_viewpoint(points, normals, (0, 0, 0))
+    assert ((turned * -points).sum(axis=1) >= 0).all()
+    np.testing.assert_allclose(np.abs(turned), np.abs(normals))
