@@ -196,15 +196,19 @@ def compound_paths(
 def compound_case(rng: np.random.Generator, **settings: bool | float | None) -> dict[str, float]:
     """``compound_paths`` in numbers: a case of a study.
 
-    ``spread_x_mm`` (y, z): widest spread of corresponding points over the path. ``off_x_mm`` (y, z): rms of the vectors
-    from the ridge; ``off_mm`` their mean length, ``largest_off_mm`` the largest; ``normal_off_deg`` median.
+    ``spread_x_mm`` (y, z): widest spread of corresponding points over the path; ``spread_rms_mm``: rms distance of
+    points from the middle of those that correspond. ``off_x_mm`` (y, z): rms of the vectors from the ridge; ``off_mm``
+    their mean length, ``largest_off_mm`` the largest; ``normal_off_deg`` median.
     """
     paths = compound_paths(rng, **settings)
     apart = spreads(paths)
+    coordinates = paths[["x_mm", "y_mm", "z_mm"]]
+    from_middle = coordinates - coordinates.groupby(paths["point"]).transform("mean")
     off = off_ridge(paths)
     lengths = np.linalg.norm(off, axis=1)
     return {
         **{f"spread_{axis}_mm": float(apart[f"{axis}_mm"].max()) for axis in "xyz"},
+        "spread_rms_mm": float(np.sqrt(from_middle.pow(2).sum(axis=1).mean())),
         **{f"off_{axis}_mm": float(np.sqrt((off[:, i] ** 2).mean())) for i, axis in enumerate("xyz")},
         "off_mm": float(lengths.mean()),
         "largest_off_mm": float(lengths.max()),
