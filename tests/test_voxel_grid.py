@@ -77,5 +77,7 @@ def test_bad_input_is_refused(cloud):
         voxel_grid(cloud, 1e-9)
     with pytest.raises(InputError, match="NaN"):
         voxel_grid(np.full((3, 3), np.nan), 1.0)
+    with pytest.raises(InputError, match="origin_mm"):
+        voxel_grid(cloud, 1.0, (0.0, 0.0))
     with pytest.raises(DegenerateError):
         voxel_grid(np.empty((0, 3)), 1.0)

@@ -49,13 +49,10 @@ def flat_plate() -> Solid:
     return box("plate", [-150, -120, -10], [150, 120, 0]).solid()
 
 
-def height_sighting(
-    scanner: Scanner, position_mm: ArrayLike, every: int = 1, height_mm: float = HEIGHT_MM, whole: bool = False
-) -> Sighting:
+def height_sighting(scanner: Scanner, position_mm: ArrayLike, every: int = 1, height_mm: float = HEIGHT_MM) -> Sighting:
     """What an errorless scanner would see of the block at ``position_mm`` (2,) of its field, and of the bench nearby.
 
-    The scanner looks straight down; block and bench lie evenly about its best distance. With ``whole`` all of the
-    field is read out, not only the block's surroundings.
+    The scanner looks straight down; block and bench lie evenly about its best distance.
 
     Raises:
         InputError: see ``height_target``. SightError: the block is outside the measuring range.
@@ -63,8 +60,6 @@ def height_sighting(
     target = Target(height_target(position_mm, height_mm))
     bench_mm = scanner.reference_mm + height_mm / 2
     pose = rigid(np.diag([1.0, -1.0, -1.0]), [0, 0, bench_mm])
-    if whole:
-        return scanner.sight(target, pose, every)
     # The scanner's y axis points against the bench's.
     centre = np.asarray(position_mm, dtype=float) * [1, -1]
     middle = np.array([scanner.columns - 1, scanner.rows - 1]) / 2

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.cell.arms import GrindingRobot
 from grindvision.cell.rays import Target
 from grindvision.cell.scanners import Scan, Scanner
-from grindvision.cell.solids import Shape, Solid, check_size
+from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
 from grindvision.geometry import SphereFit, inverse, move_points, ransac_sphere, rigid, turn_vectors
 
@@ -28,18 +28,13 @@ SPHERE_TOLERANCE_MM = 0.3
 NEST_COSINE = np.sqrt(1 - (NEST_RADIUS_MM / SPHERE_RADIUS_MM) ** 2)
 
 
-@lru_cache(maxsize=4)
-def sphere_on_nest(radius_mm: float = SPHERE_RADIUS_MM) -> Solid:
+def sphere_on_nest() -> Solid:
     """Tracker sphere (38.1 mm diameter), centre at the origin, on a magnetic nest below; surfaces sphere and nest.
 
-    The mesh deviates from the sphere by less than 1 um.
-
-    Raises:
-        InputError: the radius is not positive.
+    The mesh deviates from the sphere by about 1 um.
     """
-    radius = check_size("sphere radius", radius_mm)
+    radius, rim = SPHERE_RADIUS_MM, NEST_RADIUS_MM
     sphere = Shape.named(m3.Manifold.sphere(radius + 0.0017, 320), "sphere")
-    rim = NEST_RADIUS_MM / SPHERE_RADIUS_MM * radius
     seat = -radius * NEST_COSINE
     pillar = m3.Manifold.cylinder(radius, rim, circular_segments=96).translate([0, 0, seat - radius + 0.2])
     foot = m3.Manifold.cylinder(6.0, 2 * rim, circular_segments=96).translate([0, 0, seat - radius - 5.8])

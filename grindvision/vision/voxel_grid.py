@@ -63,6 +63,8 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
     """
     points = check_points(points, "points")
     origin = np.asarray(origin_mm, dtype=float)
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise InputError(f"origin_mm is {origin_mm}; it must be three finite numbers")
     if not (np.isfinite(size_mm) and size_mm > 0):
         raise InputError(f"the voxel size is {size_mm} mm; it must be above zero")
     # Column by column: NumPy's minima along contiguous rows are many times faster than along columns.
