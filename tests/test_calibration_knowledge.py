@@ -84,6 +84,8 @@ def test_words_for_every_kind_of_confusion(rng):
     assert difference.sentences == ("a and b only as a difference",)
     together = analyse(np.column_stack([a, 3 * a]), ("a_mm", "b_rad"), np.ones(2))
     assert together.sentences == ("a and b only together",)
+    sums = analyse(np.column_stack([a, a, a]), ("d2_mm", "d3_mm", "d4_mm"), np.ones(3))
+    assert sums.sentences == ("d2, d3 and d4 only as a sum",)
     triple = analyse(np.column_stack([a, b, a + b]), ("a_mm", "b_mm", "c_mm"), np.ones(3))
     assert triple.sentences == ("a, b and c only in combination",)
 

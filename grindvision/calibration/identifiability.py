@@ -75,7 +75,7 @@ def analyse(
     null_space = _sparse_basis(rows[rank:].T)
     known = np.abs(null_space).max(axis=1, initial=0) < 1e-3
     null_space = null_space * units[:, None]
-    sentences = tuple(_in_words(column, names) for column in null_space.T)
+    sentences = _sentences(null_space, names)
     return Identifiability(names, values, rank, int((diagonal > least).sum()), null_space, known, sentences)
 
 
@@ -106,16 +106,41 @@ def _sparse_basis(basis: Floats) -> Floats:
     return echelon
 
 
+def _sentences(null_space: Floats, names: tuple[str, ...]) -> tuple[str, ...]:
+    """One sentence per free combination; pairs that exchange within one sum, as d2, d3 and d4 do, share a sentence."""
+    sums: dict[int, list[int]] = {}
+    sentences = {}
+    for number, column in enumerate(null_space.T):
+        inside = np.flatnonzero(column)
+        units = {names[i].rsplit("_", 1)[1] for i in inside}
+        if len(inside) == 2 and len(units) == 1 and abs(column[inside].sum()) < 0.02 * np.abs(column).max():
+            joined = next((key for key, members in sums.items() if set(inside) & set(members)), number)
+            sums[joined] = sorted(set(sums.get(joined, [])) | set(inside.tolist()))
+        else:
+            sentences[number] = _in_words(column, names)
+    for number, members in sums.items():
+        sentences[number] = f"{_listed([_short(names[i]) for i in members])} only as a sum"
+    return tuple(sentences[number] for number in sorted(sentences))
+
+
+def _short(name: str) -> str:
+    return name.rsplit("_", 1)[0].replace("_", " ")
+
+
+def _listed(words: list[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
 def _in_words(column: Floats, names: tuple[str, ...]) -> str:
     scale = np.abs(column)
     inside = [i for i in np.argsort(-scale, kind="stable") if scale[i] > 0]
-    short = [names[i].rsplit("_", 1)[0].replace("_", " ") for i in sorted(inside)]
+    short = [_short(names[i]) for i in sorted(inside)]
     if len(inside) == 1:
         return f"{short[0]} moves no measured point: it cannot be known"
     same_unit = len({names[i].rsplit("_", 1)[1] for i in inside}) == 1
     if len(inside) == 2:
         first, second = column[sorted(inside)]
-        if same_unit and abs(abs(first / second) - 1) < 0.02:
-            return f"{short[0]} and {short[1]} only as a {'sum' if first * second < 0 else 'difference'}"
+        if same_unit and abs(first / second - 1) < 0.02:
+            return f"{short[0]} and {short[1]} only as a difference"
         return f"{short[0]} and {short[1]} only together"
-    return f"{', '.join(short[:-1])} and {short[-1]} only in combination"
+    return f"{_listed(short)} only in combination"
