@@ -15,8 +15,9 @@ from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene, scanned_pair
 from grindvision.cell.height_target import HEIGHT_MM, POSITIONS_MM, flat_plate, height_sighting, height_target
 from grindvision.cell.rays import Target
+from grindvision.cell.scan import Scan, Sighting
 from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
-from grindvision.cell.scanners import DepthCamera, Scan, Scanner, Sighting, StructuredLightScanner
+from grindvision.cell.scanners import DepthCamera, Scanner, StructuredLightScanner
 from grindvision.cell.solids import Solid, assembled
 from grindvision.cell.spheres import measure_sphere, scan_sphere, sphere_centre_errors, sphere_on_nest
 from grindvision.cell.views import view_from

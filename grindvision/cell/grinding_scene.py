@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import BEAD, LENGTH_MM, GrindingPart, grinding_part
 from grindvision.cell.rays import Target
-from grindvision.cell.scanners import Scan, Scanner, StructuredLightScanner
+from grindvision.cell.scan import Scan
+from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.cell.views import view_from
 from grindvision.errors import InputError
 from grindvision.geometry import angle_between, inverse, move_points, turn_vectors

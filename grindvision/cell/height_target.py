@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grindvision.cell.rays import Target
-from grindvision.cell.scanners import Scanner, Sighting
+from grindvision.cell.scan import Sighting
+from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Solid, assembled, box, check_size
 from grindvision.errors import InputError
 from grindvision.geometry import rigid

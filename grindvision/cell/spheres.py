@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.cell.arms import GrindingRobot
 from grindvision.cell.rays import Target
-from grindvision.cell.scanners import Scan, Scanner
+from grindvision.cell.scan import Scan
+from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
 from grindvision.geometry import SphereFit, inverse, move_points, ransac_sphere, rigid, turn_vectors

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.cell.rays import Target
-from grindvision.cell.scanners import DepthCamera, Scan, Scanner
+from grindvision.cell.scan import Scan
+from grindvision.cell.scanners import DepthCamera, Scanner
 from grindvision.cell.views import view_from
 from grindvision.cell.weld_pieces import GROOVE, Groove, WeldPiece, weld_piece
 from grindvision.errors import SightError
