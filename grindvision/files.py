@@ -44,6 +44,21 @@ def write_whole(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def writable_folder(path: str | Path) -> Path:
+    """Return a folder that exists (made when it does not) and may be written to: ask before long work, not after.
+
+    Raises:
+        FileError: it cannot be made, is a file, or may not be written to.
+    """
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            return path
+    except OSError as error:
+        raise FileError(f"cannot write to {path}: {error.strerror}; choose a folder you may write to") from None
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` as UTF-8, whole or not at all."""
     with write_whole(path) as temporary:

@@ -74,3 +74,9 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path, capsys):
     assert main(["simulate", "grinding", "-o", str(tmp_path / "x"), "--seed", "-3"]) == 2
     assert "--seed is -3" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys):
+    (tmp_path / "file").write_text("no folder")
+    assert main(["simulate", "grinding", "-o", str(tmp_path / "file" / "x")]) == 2
+    assert "cannot write to" in capsys.readouterr().err

@@ -35,10 +35,13 @@ def run(options: argparse.Namespace) -> int:
     """
     import numpy as np
 
+    from grindvision.files import writable_folder
+
     if options.seed < 0:
         raise InputError(f"--seed is {options.seed}; give zero or a positive whole number")
+    folder = writable_folder(options.output)
     write = {"grinding": _grinding, "welding": _welding, "calibration": _calibration}[options.subject]
-    write(options.output, np.random.default_rng(options.seed), options.seed)
+    write(folder, np.random.default_rng(options.seed), options.seed)
     return 0
 
 
