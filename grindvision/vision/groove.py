@@ -241,7 +241,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         reach = 1.2 * width
         strip = lay_straight(cloud, T_field_cloud, curve, reach, 2.2 * depth, 1.2 * depth)
         sections = gather_sections(
-            strip, len(curve), curve.step_mm, reach, max(1.2 * spacing_mm, width / 24), width / 5
+            strip, len(curve), curve.step_mm, reach, width / 24, width / 5
         )
         start = np.tile([0, 0, 0, depth, -width / 2, 0, width / 2], (len(curve), 1))
         spread = np.array([depth / 2, 0.5, 0.3 * depth / reach**2, depth, width / 2, width / 3, width / 2])

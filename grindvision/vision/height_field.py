@@ -10,13 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import check_points, inverse, rigid, vector_angle
+from grindvision.geometry import check_points, inverse, move_points, rigid, vector_angle
 from grindvision.vision.surfels import build_surfels
 
 Floats = NDArray[np.float64]
 
 #: Edge of the surfels that give the viewing direction, as a share of the cloud's diagonal.
 SURFEL_SHARE = 1 / 60
+
+#: The area that points cover is counted in cells that hold at least so many of them.
+LEAST_POINTS_PER_CELL = 5
 
 #: A scanner at the origin is believed when the mean normal points towards it within this angle.
 CAMERA_CONE_RAD = np.radians(45)
@@ -68,17 +71,18 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not diagonal > 0:
         raise DegenerateError(f"all {len(points)} points lie in one spot; they span no surface")
-    surfels = build_surfels(points, diagonal * SURFEL_SHARE)
+    T_own_cloud = _own_frame(points)
+    surfels = build_surfels(move_points(T_own_cloud, points), diagonal * SURFEL_SHARE)
     centre = surfels.points.mean(axis=0)
-    towards = np.zeros(3) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
+    towards = move_points(T_own_cloud, np.zeros(3) if viewpoint_mm is None else viewpoint_mm)
     normals = _facing(surfels.normals, towards - surfels.points)
     mean = normals.mean(axis=0)
     gap = towards - centre
     believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > LEAST_AGREEMENT
     if viewpoint_mm is not None or (believed and vector_angle(mean, gap) < CAMERA_CONE_RAD):
-        return [[_frame(surfels.points, centre, up) for up in _main_directions(normals)]]
+        return [[_frame(surfels.points, centre, up) @ T_own_cloud for up in _main_directions(normals)]]
     directions = _main_directions(_facing(surfels.normals, _dominant(surfels.normals)[None, :]))
-    return [[_frame(surfels.points, centre, side * up) for up in directions] for side in (1, -1)]
+    return [[_frame(surfels.points, centre, side * up) @ T_own_cloud for up in directions] for side in (1, -1)]
 
 
 def rasterise(points: ArrayLike, T_field_cloud: ArrayLike, cell_mm: float) -> HeightField:
@@ -96,9 +100,12 @@ def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
     """Typical distance in mm of neighbouring points over the field's plane: root of covered area per point."""
     points = np.ascontiguousarray(points, dtype=float)
     low, high = _field_bounds(points, np.asarray(T_field_cloud, dtype=float))
-    cell = float(max(high[0] - low[0], high[1] - low[1])) / 100
-    covered = rasterise(points, T_field_cloud, cell).filled.sum() * cell**2
-    return float(np.sqrt(covered / len(points)))
+    cell = float(max(high[0] - low[0], high[1] - low[1])) / 200
+    cells = len(points)
+    while cells * LEAST_POINTS_PER_CELL > len(points):
+        cell *= 2
+        cells = int(rasterise(points, T_field_cloud, cell).filled.sum())
+    return float(np.sqrt(cells * cell**2 / len(points)))
 
 
 def smoothed(field: HeightField, sigma_mm: float) -> Floats:
@@ -125,6 +132,16 @@ def closed(heights_mm: Floats, radius_cells: float) -> Floats:
     lowered = -_disc_maximum(-lifted, reach)
     result = lowered[margin:-margin, margin:-margin].astype(float)
     return np.where(np.isfinite(heights_mm), np.maximum(result, heights_mm), np.nan)
+
+
+def _own_frame(points: Floats) -> Floats:
+    """``T_own_cloud`` (4, 4) along the cloud's own axes, so that no result depends on the frame it came in."""
+    centre = points.mean(axis=0)
+    centred = points - centre
+    axes = np.linalg.eigh(centred.T @ centred)[1][:, ::-1]
+    axes = axes * np.where(((centred @ axes) ** 3).sum(axis=0) >= 0, 1, -1)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    return inverse(rigid(axes, centre))
 
 
 def _facing(normals: Floats, towards: Floats) -> Floats:

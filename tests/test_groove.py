@@ -1,0 +1,229 @@
+"""Grooves are found where they are: known shapes, any frame and order, nothing invented, bad input named."""
+
+import numpy as np
+import pytest
+from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
+from scipy.spatial import cKDTree
+
+from grindvision.cell import weld_scene
+from grindvision.errors import InputError, NoGrooveError, UnitError
+from grindvision.vision.groove import find_grooves
+from grindvision.vision.groove_profile import Corners, profile_height, profile_slopes
+from grindvision.vision.height_field import closed, rasterise
+from grindvision.vision.seam_curve import build_curve, lay_straight, smooth_along
+
+
+@pytest.mark.parametrize("kind", ["line", "curve", "box", "cylinder"])
+def test_weld_pieces_overlap(kind):
+    """The simulated D415 on the four pieces, one set of defaults."""
+    scene = weld_scene(kind, np.random.default_rng(3))
+    found = find_grooves(scene.points)
+    assert len(found.grooves) == 1
+    assert overlap(found.labels, scene.labels) > 0.925
+    assert np.median(found.grooves[0].width_mm) == pytest.approx(12, abs=0.6)
+
+
+def test_width_depth_root_of_a_known_groove(rng):
+    points, truth = straight_groove(rng)
+    groove = find_grooves(points).grooves[0]
+    assert overlap(find_grooves(points).labels, truth) > 0.95
+    assert np.median(groove.width_mm) == pytest.approx(10, abs=0.3)
+    assert np.median(groove.depth_mm) == pytest.approx(6, abs=0.2)
+    assert np.abs(groove.root[:, 1]).max() < 0.3
+    assert np.abs(groove.root[:, 2] - 406).max() < 0.3
+    assert np.abs(groove.normals @ [0, 0, -1] - 1).max() < 2e-3
+    assert groove.length_mm == pytest.approx(120, abs=3)
+
+
+def test_any_order_and_any_frame_give_the_same_groove(rng):
+    points, _ = straight_groove(rng)
+    labels = find_grooves(points).labels
+    order = rng.permutation(len(points))
+    assert np.mean(find_grooves(points[order]).labels != labels[order]) < 1e-3
+    for _ in range(3):
+        moved, _, shift = anywhere(points, rng)
+        assert np.mean(find_grooves(moved, viewpoint_mm=shift).labels != labels) < 2e-3
+
+
+def test_unknown_viewpoint_finds_the_groove_from_either_side(rng):
+    points, truth = straight_groove(rng)
+    shift = np.array([5000.0, 0, -400])
+    assert overlap(find_grooves(points + shift).labels, truth) > 0.95
+
+
+def test_scale_of_everything_does_not_matter(rng):
+    points, truth = straight_groove(rng)
+    assert overlap(find_grooves(points * 4).labels, truth) > 0.95
+    assert np.median(find_grooves(points * 4).grooves[0].width_mm) == pytest.approx(40, rel=0.03)
+
+
+def test_organised_clouds_keep_their_shape_and_nan_pixels_belong_to_nothing(rng):
+    points, truth = straight_groove(rng)
+    columns = len(np.unique(grid()[:, 1]))
+    points[rng.random(len(points)) < 0.1] = np.nan
+    organised = points.reshape(-1, columns, 3)
+    labels = find_grooves(organised).labels
+    assert labels.shape == organised.shape[:2]
+    assert not labels[np.isnan(organised[..., 0])].any()
+    seen = np.isfinite(points[:, 0])
+    assert overlap(labels.ravel()[seen], truth[seen]) > 0.95
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        lambda x, y: 0 * x,
+        lambda x, y: 4 * np.exp(-(y**2) / 8),
+        lambda x, y: np.where(y > 0, 5.0, 0.0),
+        lambda x, y: -0.004 * x**2 - 0.02 * np.maximum(np.abs(y) - 25, 0) ** 2,
+        lambda x, y: -7 * np.exp(-(x**2 + y**2) / 50),
+        lambda x, y: 0.6 * np.sin(x / 6) * np.sin(y / 5),
+    ],
+    ids=["plate", "bead", "step", "rounded outline", "dent", "waviness"],
+)
+def test_nothing_is_invented(rng, height):
+    places = grid()
+    with pytest.raises(NoGrooveError, match="no groove in the cloud"):
+        find_grooves(cloud(places, height(*places.T), rng))
+
+
+def test_two_grooves_are_both_found_the_larger_first(rng):
+    places = grid()
+    heights = vee(places[:, 1] - 18, 12, 7) + vee(places[:, 1] + 20, 8, 4)
+    found = find_grooves(cloud(places, heights, rng))
+    assert [round(float(np.median(groove.width_mm))) for groove in found.grooves] == [12, 8]
+    assert overlap(found.groove_id == 1, np.abs(places[:, 1] + 20) < 4) > 0.9
+
+
+def test_ring_is_closed_and_measured_once(rng):
+    places = grid(110, 110)
+    found = find_grooves(cloud(places, vee(np.hypot(*places.T) - 32), rng))
+    assert found.grooves[0].closed
+    assert found.grooves[0].length_mm == pytest.approx(2 * np.pi * 32, rel=0.03)
+
+
+def test_blind_groove_ends_where_it_ends(rng):
+    places = grid()
+    found = find_grooves(cloud(places, vee(places[:, 1]) * (np.abs(places[:, 0]) < 35), rng))
+    assert found.grooves[0].length_mm == pytest.approx(70, abs=4)
+
+
+def test_flat_root_does_not_widen_the_groove(rng):
+    places = grid()
+    heights = -5 * np.clip((6 - np.abs(places[:, 1])) / 3.5, 0, 1)
+    groove = find_grooves(cloud(places, heights, rng)).grooves[0]
+    assert np.median(groove.width_mm) == pytest.approx(12, abs=0.6)
+    assert np.median(groove.depth_mm) == pytest.approx(5, abs=0.3)
+
+
+def test_groove_partly_outside_says_which_share_has_both_sides(rng):
+    points, _ = straight_groove(rng)
+    kept = grid()[:, 1] < 4
+    groove = find_grooves(points[kept]).grooves[0]
+    assert groove.edges_seen < 0.5
+    assert find_grooves(points).grooves[0].edges_seen == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (lambda p: p / 1000, UnitError, "metres"),
+        (lambda p: p[:50], InputError, "50 of 50 points"),
+        (lambda p: np.full_like(p, np.nan), InputError, "finite"),
+        (lambda p: p[:, :2], InputError, "shape"),
+        (lambda p: "cloud", InputError, "numbers"),
+    ],
+)
+def test_bad_clouds_are_named(rng, change, error, message):
+    points, _ = straight_groove(rng)
+    with pytest.raises(error, match=message):
+        find_grooves(change(points))
+
+
+def test_cloud_too_sparse_for_the_groove_asked_for(rng):
+    points, _ = straight_groove(rng, spacing_mm=3.0)
+    with pytest.raises(InputError, match="too sparse for a groove 10 mm wide"):
+        find_grooves(points, width_mm=10)
+
+
+def test_real_plate(real_data):
+    """Points deeper than 1 mm below the plate, found by another way, are recalled in one connected groove."""
+    from grindvision.clouds import read_cloud
+
+    points = read_cloud(real_data("weld_plate.pcd"), "m").points
+    found = find_grooves(points)
+    assert len(found.grooves) == 1
+    level = np.median(points[:, 2])
+    plate = points[np.abs(points[:, 2] - level) < 4]
+    for _ in range(10):
+        terms = np.column_stack([np.ones(len(plate)), plate[:, :2]])
+        plane = np.linalg.lstsq(terms, plate[:, 2], rcond=None)[0]
+        plate = plate[np.abs(plate[:, 2] - terms @ plane) < 1.5]
+    depth = plane[0] + points[:, :2] @ plane[1:] - points[:, 2]
+    near_seam = cKDTree(found.grooves[0].root).query(points)[0] < 25
+    deep = (depth > 1) & (depth < 11) & near_seam
+    assert deep.sum() > 6000
+    assert found.labels[deep].mean() > 0.95
+
+
+def test_profile_slopes_agree_with_finite_differences(rng):
+    across = np.sort(rng.uniform(-12, 12, (2, 40)), axis=1)
+    parameters = np.array([[0.1, 0.05, 0.01, 7, -6, 0.3, 5.5], [0, 0, -0.01, 4, -4, -0.5, 5]])
+    for corners in (Corners(0.3, 0.5), Corners(0.2, 0.1, 1.2)):
+        height, slopes = profile_slopes(across, parameters, corners)
+        np.testing.assert_allclose(height, profile_height(across, parameters, corners), atol=1e-12)
+        for k in range(7):
+            step = 1e-5 * np.eye(7)[k]
+            high, low = (profile_height(across, parameters + sign * step, corners) for sign in (1, -1))
+            np.testing.assert_allclose(slopes[..., k], (high - low) / 2e-5, atol=1e-7)
+
+
+def test_closing_fills_valleys_and_leaves_ridges_and_outlines(rng):
+    places = grid(60, 60, 1.0)
+    frame = np.diag([1.0, -1.0, -1.0, 1.0])
+
+    def filled(height):
+        field = rasterise(cloud(places, height(*places.T), rng, 0), frame, 1.0)
+        return closed(field.heights_mm, 12) - field.heights_mm
+
+    assert np.nanmax(filled(lambda x, y: vee(y, 10, 6))) == pytest.approx(6, abs=1.5)
+    assert np.nanmax(filled(lambda x, y: -vee(y, 10, 6))) < 1e-4
+    assert np.nanmax(filled(lambda x, y: -(x**2) / 60)) < 1e-4
+
+
+def test_closing_agrees_with_the_plain_definition(rng):
+    heights = rng.random((23, 19)).round(3)
+    heights[rng.random(heights.shape) < 0.1] = np.nan
+    radius = 3.4
+    pad = 8
+    low = np.pad(np.where(np.isnan(heights), -np.inf, heights), pad, constant_values=-np.inf)
+    steps = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if i * i + j * j <= radius**2]
+    lifted = np.max([np.roll(low, step, (0, 1)) for step in steps], axis=0)
+    lowered = np.min([np.roll(lifted, step, (0, 1)) for step in steps], axis=0)[pad:-pad, pad:-pad]
+    expected = np.where(np.isnan(heights), np.nan, np.maximum(lowered, heights))
+    np.testing.assert_allclose(closed(heights, radius), expected, atol=1e-6)
+
+
+def test_coordinates_along_a_circle(rng):
+    turn = np.linspace(0, 3, 400)
+    circle = 40 * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    curve = build_curve(circle, np.array([0, 0, 1.0]), 0.5)
+    angle, radius, height = rng.uniform(0.2, 2.8, 300), rng.uniform(36, 44, 300), rng.uniform(-2, 2, 300)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    strip = lay_straight(points, np.eye(4), curve, 6, 3, 3)
+    assert len(strip.index) == 300
+    np.testing.assert_allclose(strip.along, 40 * angle[strip.index], atol=0.1)
+    np.testing.assert_allclose(strip.across, 40 - radius[strip.index], atol=0.02)
+    np.testing.assert_allclose(strip.up, height[strip.index], atol=1e-9)
+
+
+def test_smoothing_keeps_lines_and_bridges_gaps(rng):
+    line = np.column_stack([np.linspace(0, 5, 60), np.linspace(3, -1, 60)])
+    weights = np.ones(60)
+    weights[20:30] = 0
+    noisy = line.copy()
+    noisy[20:30] = 99
+    np.testing.assert_allclose(smooth_along(noisy, weights, 10, 1), line, atol=1e-4)
+    spoilt = line.copy()
+    spoilt[45] += 20
+    np.testing.assert_allclose(smooth_along(spoilt, np.ones(60), 10, 1, robust=True), line, atol=0.05)
