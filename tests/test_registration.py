@@ -182,7 +182,7 @@ def test_proposals_are_distinct_and_hold_the_truth(prepared, easy, rng):
 def test_the_pose_scatters_as_its_covariance_says(easy, close):
     motions, stds = [], []
     for seed in range(8):
-        case = pair(seed=40 + seed, n_points=20_000)
+        case = pair(seed=40 + seed, n_points=20_000, noise_mm=0.2)
         good, seen = prepare_pair(case.sample, case.test)
         source, normals = seen.surfels.points, seen.surfels.normals
         found = refine_bent(source, normals, good.surfels, icp_planes(source, normals, good.surfels, close))

@@ -149,7 +149,8 @@ def _walk(cluster: Cluster) -> tuple[Floats, bool, float]:
     if reach < 2.5 * width:
         return _axis(nodes, total), False, max(float(np.sqrt(area) / 1.5), 1.5 * size)
     bands = np.minimum((walked / max(1.2 * width, 2 * size)).astype(np.int64), 10_000)
-    return *_ordered(graph, nodes, total, bands), width
+    curve, closed = _ordered(graph, nodes, total, bands)
+    return curve, closed, max(width / 2, 1.5 * size) if closed else width
 
 
 def _axis(nodes: Floats, weights: Floats) -> Floats:

@@ -52,7 +52,8 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
     except QhullError:
         raise DegenerateError("the difference points lie in one plane; their box has no volume") from None
     corners = points[hull.vertices]
-    normals = np.unique(np.round(hull.equations[:, :3], 6), axis=0)
+    _, faces = np.unique(np.round(hull.equations[:, :3], 6), axis=0, return_index=True)
+    normals = hull.equations[faces, :3]
     best, least = None, np.inf
     for normal in normals:
         normal = normal / np.linalg.norm(normal)
