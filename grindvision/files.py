@@ -109,7 +109,8 @@ def read_table(path: str | Path, numbers: Sequence[str], texts: Sequence[str] = 
         if bad.any():
             row = int(bad.to_numpy().argmax())
             raise FileError(
-                f"{path}: row {row + 1}, column {column}: {table[column].iloc[row]!r} is not a finite number; mend the file"
+                f"{path}: row {row + 1}, column {column}: {table[column].iloc[row]!r} is not a finite number;"
+                " mend the file"
             )
         table[column] = values
     return table
