@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from grindvision.book.answers import write_scoreboard
+from grindvision.book.answers import write_front, write_scoreboard
 from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
@@ -111,7 +111,9 @@ def rebuild(
         if answers.stem.removeprefix("answers_") not in there:
             answers.unlink()
     outcomes = asyncio.run(_run_all(picked, fast, build, figures, report))
-    write_scoreboard(figures)
+    table = write_scoreboard(figures)
+    if figures == FIGURES:
+        write_front(table, ROOT / "README.md")
     return outcomes
 
 
