@@ -1,0 +1,82 @@
+import argparse
+import json
+
+import numpy as np
+import pytest
+from motion_scene import seam
+
+from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
+from grindvision.errors import FileError, InputError, NotRigidError
+from grindvision.geometry import inverse, move_points, rigid, turn_vectors
+from grindvision.motion import tool_trajectory
+
+#: A scanner half a metre above the table that looks straight down.
+T_BASE_SCANNER = rigid(np.diag([1.0, -1.0, -1.0]), [310.0, 0.0, 500.0])
+
+
+def options(*words):
+    parser = argparse.ArgumentParser()
+    add_robot_arguments(parser)
+    return parser.parse_args(words)
+
+
+@pytest.fixture
+def pose(tmp_path):
+    path = tmp_path / "pose.json"
+    path.write_text(json.dumps({"T_base_scanner": T_BASE_SCANNER.tolist()}))
+    return str(path)
+
+
+def test_without_a_robot_there_is_no_job_and_no_stray_option(pose):
+    assert robot_job(options()) is None
+    for stray in (["--program", "csv"], ["--scanner-pose", pose], ["--torch-speed", "5"], ["--table-top", "0"]):
+        with pytest.raises(InputError, match=f"{stray[0]} is for a robot's programme"):
+            robot_job(options(*stray))
+
+
+@pytest.mark.parametrize(
+    ("form", "name"), [("csv", "program.csv"), ("json", "program.json"), ("urscript", "program.script")]
+)
+def test_a_scanned_seam_becomes_a_programme(pose, tmp_path, form, name):
+    positions, normals = seam(points=15)
+    T_scanner_base = inverse(T_BASE_SCANNER)
+    trajectory = tool_trajectory(move_points(T_scanner_base, positions), turn_vectors(T_scanner_base, normals))
+    job = robot_job(options("--robot", "ur3", "--program", form, "--scanner-pose", pose, "--torch-speed", "10"))
+    work = np.random.default_rng(0).uniform([250, -90, 20], [370, 90, 45], (3000, 3))
+    motion = job.plan(trajectory, move_points(T_scanner_base, work))
+    assert job.write(motion, tmp_path / "out") == name
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+    reached = motion.path.T_base_tool[:, :3, 3]
+    nearest = np.linalg.norm(reached[:, None] - positions, axis=2).min(axis=0)
+    assert nearest.max() < 0.05  # every way point of the seam, though poses were put in between
+    facts = json.loads(json.dumps(motion_facts(motion), default=float))
+    assert facts["robot"] == "ur3" and facts["torch_speed_mm_s"] == 10.0
+    assert facts["clearance_mm"] > 2.0 and facts["position_error_mm"] < 0.05 and facts["angle_error_deg"] < 0.1
+
+
+def test_what_cannot_work_is_refused_before_any_work(pose, tmp_path):
+    with pytest.raises(InputError, match="--robot needs --scanner-pose"):
+        robot_job(options("--robot", "ur3"))
+    with pytest.raises(InputError, match="--flange is for a URDF file"):
+        robot_job(options("--robot", "ur3", "--scanner-pose", pose, "--flange", "tool0"))
+    with pytest.raises(InputError, match="--torch-speed is -1 mm/s"):
+        robot_job(options("--robot", "ur3", "--scanner-pose", pose, "--torch-speed", "-1"))
+    with pytest.raises(FileError, match="no such file"):
+        robot_job(options("--robot", str(tmp_path / "arm.urdf"), "--scanner-pose", pose))
+    squashed = tmp_path / "squashed.json"
+    squashed.write_text(json.dumps((2 * np.eye(4)).tolist()))
+    with pytest.raises(NotRigidError, match=r"squashed.json"):
+        robot_job(options("--robot", "ur3", "--scanner-pose", str(squashed)))
+
+
+def test_a_robot_file_needs_the_flange_and_a_language_it_understands(pose, tmp_path):
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(
+        '<robot name="two"><link name="base"/><link name="arm"/><joint name="shoulder" type="revolute">'
+        '<parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>'
+        '<limit effort="1" lower="-1" upper="1" velocity="1"/></joint></robot>'
+    )
+    with pytest.raises(FileError, match="no joint or link named tool0 for the flange"):
+        robot_job(options("--robot", str(arm), "--scanner-pose", pose))
+    with pytest.raises(InputError, match="two is no arm of Universal Robots"):
+        robot_job(options("--robot", str(arm), "--scanner-pose", pose, "--flange", "arm", "--program", "urscript"))
