@@ -91,5 +91,7 @@ def test_impossible_requests_are_refused():
         grind(straight_bead(), points, normals, heights, WHEEL, 0.5, 0)
     with pytest.raises(InputError, match="1 path points"):
         grind(straight_bead(), points[:1], normals[:1], heights[:1], WHEEL, 0.5, 1)
+    with pytest.raises(InputError, match="no part of the bead"):
+        grind(straight_bead(), points + [100.0, 0.0, 0.0], normals, heights, WHEEL, 0.5, 1)
     with pytest.raises(InputError, match="radius 0"):
         Wheel(0.0, 5.0)

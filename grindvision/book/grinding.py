@@ -83,7 +83,7 @@ def grind(
         depth_of_cut_mm, passes: of the process.
 
     Raises:
-        InputError: fewer than two path points, or a process without passes or depth.
+        InputError: fewer than two path points, a path beside the bead, or a process without passes or depth.
     """
     points = check_points(points_mm, "path points")
     if len(points) < 2 or passes < 1 or not depth_of_cut_mm > 0:
@@ -121,6 +121,8 @@ def grind(
         box = np.ix_(reach, under)
         after[box] = np.minimum(after[box], floor)
     along = (s >= at_s.min()) & (s <= at_s.max())
+    if not along.any():
+        raise InputError("the path runs past no part of the bead; are both in the same frame?")
     return GroundBead(s, u, before, after, along)
 
 

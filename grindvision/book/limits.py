@@ -17,6 +17,7 @@ from grindvision.book.compound import RegisteredPair
 from grindvision.book.grinding import GroundBead, Wheel, grind, resampled, square_to
 from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import grinding_scene
+from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, small_motion, vector_angle
 from grindvision.vision.bead_path import BeadPath
 from grindvision.vision.detect import DetectOptions, detect
@@ -25,11 +26,25 @@ from grindvision.vision.voxel_grid import voxel_grid
 Floats = NDArray[np.float64]
 
 
-#: An ordinary job; chapter 09 varies one value at a time around it.
-ORDINARY = {"registration_mm": 0.02, "voxel_mm": 0.4, "points": 6, "overlap": 0.9, "bead_height_mm": 1.5}
+#: An ordinary job, vision and process; chapter 09 varies one value at a time around it.
+ORDINARY = {
+    "registration_mm": 0.02,
+    "voxel_mm": 0.5,
+    "points": 6,
+    "overlap": 0.9,
+    "bead_height_mm": 1.5,
+    "wheel_radius_mm": 20.0,
+}
 
-#: An ordinary process for that job.
-ORDINARY_PROCESS = {"wheel_radius_mm": 20.0, "depth_of_cut_mm": 0.25, "passes": 6}
+#: Ranges that a workshop may meet.
+RANGES = {
+    "registration_mm": (0.0, 0.3),
+    "voxel_mm": (0.4, 1.2),
+    "points": (3, 20),
+    "overlap": (0.5, 1.0),
+    "bead_height_mm": (0.5, 2.5),
+    "wheel_radius_mm": (5.0, 40.0),
+}
 
 WHEEL_WIDTH_MM = 8.0
 
@@ -83,7 +98,11 @@ def found_path(
 
 
 def path_case(
-    rng: np.random.Generator, wheel_radius_mm: float, depth_of_cut_mm: float, passes: int, **vision: float
+    rng: np.random.Generator,
+    wheel_radius_mm: float,
+    depth_of_cut_mm: float = 0.25,
+    passes: int = 12,
+    **vision: float,
 ) -> dict[str, float]:
     """``found_path`` and the grinding along it in numbers: a case of a study.
 
@@ -91,12 +110,20 @@ def path_case(
     ``largest_path_mm`` the largest distance between the true ridge and the straight lines through the path points;
     ``height_mm`` the bead's found minus true height; ``normal_off_deg`` median; ``left_mm`` and ``gouge_mm`` after
     grinding.
+
+    Raises:
+        DegenerateError: no bead was found, or something else that is none.
     """
     found = found_path(rng, **vision)
     ridge, normals = resampled(found.bead.ridge_mm, found.bead.normals)
     lines, carried = resampled(found.path.points, found.path.normals)
     off = np.linalg.norm(square_to(ridge, lines), axis=1)
-    tilt = vector_angle(carried, normals[cKDTree(ridge).query(lines)[1]])
+    beside, nearest = cKDTree(ridge).query(lines)
+    if beside.max() > found.bead.width_mm:
+        raise DegenerateError(
+            f"the largest piece that stands out is no bead: the path strays {beside.max():.1f} mm from it"
+        )
+    tilt = vector_angle(carried, normals[nearest])
     ground = found.ground(wheel_radius_mm, depth_of_cut_mm, passes)
     return {
         "icp_mm": found.registration_mm,

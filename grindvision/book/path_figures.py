@@ -70,7 +70,7 @@ def draw_projection(paths: pd.DataFrame, across: str, up: str) -> Figure:
     whole = fig.add_subplot(grid[0, :])
     _draw_points(whole, paths, across, up, lines=True)
     whole.set(xlabel=f"{across} (mm)", ylabel=f"{up} (mm)")
-    whole.legend(title="orientation")
+    fig.legend(*whole.get_legend_handles_labels(), loc="outside upper center", ncols=4)
     for column, number in enumerate(numbers):
         here = paths[paths["point"] == number]
         centre = _middle(here, across, up)

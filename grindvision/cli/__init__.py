@@ -19,6 +19,7 @@ COMMANDS = {
     "groove": "a scan in, weld groove and torch trajectory out",
     "calibrate": "sphere measurements in, calibrated arm and scanner out",
     "simulate": "make inputs for the three above, with the truth beside them",
+    "study": "run a study of the book over many cases, here or on a Dask cluster",
 }
 
 

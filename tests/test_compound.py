@@ -1,0 +1,65 @@
+"""The whole chain: without errors it finds the true ridge, with them it stays near, and a case repeats exactly."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from grindvision import cell
+from grindvision.book.compound import (
+    ORIENTATIONS_DEG,
+    SOURCES,
+    compound_case,
+    compound_paths,
+    off_ridge,
+    spreads,
+    workplace,
+)
+from grindvision.book.limits import displacement
+from grindvision.cell.experiment4 import printed_path
+from grindvision.geometry import angle_between, move_points
+
+
+@pytest.fixture(scope="module")
+def paths():
+    return compound_paths(np.random.default_rng(1))
+
+
+def test_d1_is_the_pose_that_the_printed_tables_imply():
+    pose = cell.GrindingRobot().exact_poses(np.radians(ORIENTATIONS_DEG["D1"]))
+    implied = printed_path().T_base_scanner
+    assert np.linalg.norm(pose[:3, 3] - implied[:3, 3]) < 1.5
+    assert np.degrees(angle_between(pose, implied)) < 0.6
+
+
+def test_without_errors_the_path_is_the_ridge():
+    off = off_ridge(compound_paths(np.random.default_rng(2), **dict.fromkeys(SOURCES, False)))
+    assert np.linalg.norm(off, axis=1).max() < 0.05
+
+
+def test_with_all_errors_corresponding_points_share_a_square(paths):
+    assert len(paths) == 24
+    assert (spreads(paths)[["x_mm", "y_mm", "z_mm"]] < 0.5).all(axis=None)
+    assert np.linalg.norm(off_ridge(paths), axis=1).max() < 0.4
+
+
+def test_vectors_from_the_ridge_are_square_to_it(paths):
+    bead = workplace().bead
+    tangents = np.gradient(bead.ridge_mm, axis=0)
+    for row in paths.itertuples():
+        near = np.argmin(np.linalg.norm(bead.ridge_mm - [row.x_mm, row.y_mm, row.z_mm], axis=1))
+        off = np.array([row.off_x_mm, row.off_y_mm, row.off_z_mm])
+        assert abs(off @ tangents[near]) < 1e-9
+
+
+def test_a_case_repeats_and_says_what_its_paths_say(paths):
+    case = compound_case(np.random.default_rng(1))
+    pd.testing.assert_frame_equal(paths, compound_paths(np.random.default_rng(1)))
+    lengths = np.linalg.norm(off_ridge(paths), axis=1)
+    assert case["off_mm"] == pytest.approx(lengths.mean()) and case["largest_off_mm"] == pytest.approx(lengths.max())
+    assert case["spread_z_mm"] == pytest.approx(spreads(paths)["z_mm"].max())
+
+
+def test_a_displacement_moves_points_by_the_size_asked_for(rng):
+    points = rng.uniform([-50, -50, 350], [50, 50, 450], (200, 3))
+    moved = move_points(displacement(rng, points, 0.3), points)
+    assert np.sqrt(((moved - points) ** 2).sum(axis=1).mean()) == pytest.approx(0.3, rel=1e-3)
