@@ -234,6 +234,16 @@ def test_no_limit_is_broken_at_any_speed(ur3, motion, tool_speed_mm_s):
     assert timing.time_s[-1] >= motion.trajectory.arc_mm[-1] / tool_speed_mm_s
 
 
+def test_limits_hold_between_grid_points_on_a_jagged_path(ur3, motion, rng):
+    jagged = motion.trajectory.T_base_tool.copy()
+    jagged[:, :3, 3] += rng.normal(0, 0.5, (len(jagged), 3))
+    path = follow_trajectory(ur3, Trajectory(jagged), motion.path.q_rad[0])
+    timing = time_law(path, ur3.limits, 100.0, samples=8001)
+    assert (np.abs(timing.speed_rad_s) <= ur3.limits.speed_rad_s).all()
+    assert (np.abs(timing.acceleration_rad_s2) <= ur3.limits.acceleration_rad_s2).all()
+    assert timing.steady_share < 0.5  # the joints, not the torch, set the pace
+
+
 def test_the_time_law_is_consistent_with_itself_and_the_path(ur3, motion):
     timing = motion.timing
     assert np.gradient(timing.q_rad, timing.time_s, axis=0)[20:-20] == pytest.approx(

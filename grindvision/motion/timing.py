@@ -71,7 +71,7 @@ def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, sampl
     speed = np.append(_USED * limits.speed_rad_s, tool_speed_mm_s)
     acceleration = np.append(_USED * limits.acceleration_rad_s2, TOOL_ACCELERATION)
     # The spline bends most at its knots: the grid has every one of them, and as many points in between as it takes.
-    per_gap = max(8, 400 // len(arc))
+    per_gap = max(20, 400 // len(arc))
     logging.getLogger("toppra").setLevel(logging.ERROR)
     solver = TOPPRA(
         [
