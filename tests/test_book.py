@@ -17,7 +17,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from grindvision import book, cli, paper
 from grindvision.book.agreement import disagreements
-from grindvision.book.answers import judged, verdict, write_front, write_scoreboard
+from grindvision.book.answers import judged, verdict, write_scoreboard
 from grindvision.book.chapters import chosen, rebuild
 from grindvision.errors import FileError, InputError
 
@@ -166,22 +166,6 @@ def test_an_answer_appears_in_the_verdicts_and_on_the_scoreboard(figures):
     assert row["verdict"] == "reproduced" and row["kind"] == "synthetic" and row["figure"] == "table1"
     assert row["difference"] == pytest.approx(value - FIRST["paper"])
     assert f"{len(EXPECTED)} numbers: 1 reproduced" in (figures / "scoreboard.md").read_text()
-
-
-def test_the_front_page_keeps_its_text_and_shows_the_counts(tmp_path):
-    readme = tmp_path / "README.md"
-    marks = "<!-- scoreboard: written by `grindvision book` -->\nold\n<!-- end of scoreboard -->"
-    readme.write_text(f"# Title\n\n{marks}\n\n## After\n")
-    for _ in range(2):
-        write_front(judged(answers(float(FIRST["paper"]))), readme)
-        text = readme.read_text()
-        assert text.startswith("# Title\n\n<!-- scoreboard") and text.endswith(
-            "<!-- end of scoreboard -->\n\n## After\n"
-        )
-        assert "old" not in text and f"{len(EXPECTED)} numbers: 1 reproduced" in text
-    readme.write_text("no marks")
-    write_front(judged(answers(1.0)), readme)
-    assert readme.read_text() == "no marks"
 
 
 def test_an_answer_nobody_expects_is_refused_with_near_names(figures):

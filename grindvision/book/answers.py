@@ -101,20 +101,6 @@ def write_scoreboard(folder: Path) -> pd.DataFrame:
     return table
 
 
-def write_front(table: pd.DataFrame, readme: Path) -> None:
-    """Put the scoreboard, one line for every item, between the two marks in the README, if it has them."""
-    import pandas as pd
-
-    begin, end = "<!-- scoreboard: written by `grindvision book` -->", "<!-- end of scoreboard -->"
-    text = readme.read_text(encoding="utf-8")
-    if begin not in text or end not in text:
-        return
-    counts = pd.crosstab([table["chapter"], table["item"]], table["verdict"]).reindex(columns=VERDICTS, fill_value=0)
-    counts = counts.astype(object).where(counts > 0, "").reset_index()
-    before, after = text.split(begin)[0], text.split(end)[1]
-    write_text(readme, f"{before}{begin}\n{summary(table)}.\n\n{markdown_table(counts)}\n{end}{after}")
-
-
 def summary(table: pd.DataFrame) -> str:
     """How many numbers of a scoreboard have which verdict, in one line."""
     counts = ", ".join(f"{(table['verdict'] == word).sum()} {word}" for word in VERDICTS)

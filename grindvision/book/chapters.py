@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from grindvision.book.answers import write_front, write_scoreboard
+from grindvision.book.answers import write_scoreboard
 from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
+from grindvision.book.readme import write_readme
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 
@@ -113,7 +114,7 @@ def rebuild(
     outcomes = asyncio.run(_run_all(picked, fast, build, figures, report))
     table = write_scoreboard(figures)
     if figures == FIGURES:
-        write_front(table, ROOT / "README.md")
+        write_readme(table)
     return outcomes
 
 

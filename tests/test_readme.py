@@ -1,0 +1,45 @@
+"""The README says what the scoreboard says, and links to what is there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from grindvision.book.answers import scoreboard
+from grindvision.book.places import FIGURES, ROOT
+from grindvision.book.readme import README, scoreboard_block, write_readme
+from grindvision.errors import FileError
+
+
+def test_the_block_is_the_committed_scoreboard():
+    assert scoreboard_block(scoreboard(FIGURES)) in README.read_text(encoding="utf-8")
+
+
+def test_only_the_block_is_replaced(tmp_path):
+    copy = tmp_path / "README.md"
+    copy.write_text(README.read_text(encoding="utf-8"), encoding="utf-8")
+    table = scoreboard(FIGURES)
+    table.loc[table["quantity"] == "mean absolute error", "rebuilt"] = 12.5
+    write_readme(table, copy)
+    old, new = README.read_text(encoding="utf-8").splitlines(), copy.read_text(encoding="utf-8").splitlines()
+    changed = [(a, b) for a, b in zip(old, new, strict=True) if a != b]
+    assert len(changed) == 1 and "12.5" in changed[0][1]
+
+
+def test_a_readme_without_the_marks_is_left_alone(tmp_path):
+    copy = tmp_path / "README.md"
+    copy.write_text("# grindvision\n")
+    with pytest.raises(FileError, match="marks"):
+        write_readme(scoreboard(FIGURES), copy)
+    assert copy.read_text() == "# grindvision\n"
+
+
+def test_every_relative_link_and_picture_is_there():
+    targets = re.findall(r"\]\(([^)#:]+)\)|(?:src|href)=\"([^\":]+)\"", README.read_text(encoding="utf-8"))
+    missing = [target for pair in targets for target in pair if target and not (ROOT / Path(target)).exists()]
+    assert targets and not missing
+
+
+def test_every_chapter_is_listed():
+    text = README.read_text(encoding="utf-8")
+    assert [path.name for path in sorted((ROOT / "notebooks").glob("*.ipynb")) if path.name not in text] == []
