@@ -42,8 +42,8 @@ def nearest_angles(
 ) -> list[InverseSolution]:
     """Joint angles whose last frame comes nearest to ``T_base_joint`` (4, 4), best first, each distinct to 0.1 mrad.
 
-    With fewer than six joints a pose is in general reached only approximately: the cost is the squared distance in mm plus
-    the squared angle in rad times ``mm_per_rad`` squared. Local minima are kept, so a caller can choose a branch.
+    With fewer than six joints a pose is in general reached only approximately: the cost is the squared distance in mm
+    plus the squared angle in rad times ``mm_per_rad`` squared. Local minima are kept, so a caller can choose a branch.
 
     Raises:
         NotRigidError: the pose is no rigid transform. InputError: ``starts`` below one.
@@ -82,8 +82,5 @@ def _log_slope(rotvec: Floats) -> Floats:
     angle = np.linalg.norm(rotvec)
     x, y, z = rotvec
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    if angle < 1e-6:
-        factor = 1 / 12
-    else:
-        factor = (1 - angle / 2 / np.tan(angle / 2)) / angle**2
+    factor = 1 / 12 if angle < 1e-6 else (1 - angle / 2 / np.tan(angle / 2)) / angle**2
     return np.eye(3) - cross / 2 + factor * cross @ cross

@@ -1,7 +1,7 @@
-"""Modified Denavit-Hartenberg tables with Hayati's tilt: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)`` per joint.
+"""Modified Denavit-Hartenberg tables with Hayati's tilt: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)``.
 
-Craig's convention: row i holds alpha_{i-1}, a_{i-1}, d_i, theta_i. The tilt beta stands before the joint turns, where two
-nominally parallel axes need it; behind the joint it would only mimic the next theta.
+Craig's convention: row i holds alpha_{i-1}, a_{i-1}, d_i, theta_i. The tilt beta stands before the joint turns, where
+two nominally parallel axes need it; behind the joint it would only mimic the next theta.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PARAMETERS = ("alpha_rad", "a_mm", "d_mm", "theta_rad", "beta_rad")
 class MdhArm:
     """A serial arm of revolute joints.
 
-    ``table`` (n, 5): one row per joint, columns as ``PARAMETERS``; ``theta_rad`` is the offset added to the joint angle.
+    ``table`` (n, 5): one row per joint, columns as ``PARAMETERS``; ``theta_rad`` is added to the joint angle.
     ``joints`` names the rows. The array is read-only; ``with_table`` and ``changed_by`` make a new arm.
     """
 
@@ -110,7 +110,7 @@ def link_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
 def joint_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
     """Transforms T_base_i of the base (identity) and of every joint frame, (..., n + 1, 4, 4)."""
     links = link_transforms(arm, q_rad)
-    chain = [np.broadcast_to(np.eye(4), links.shape[:-3] + (4, 4))]
+    chain = [np.broadcast_to(np.eye(4), (*links.shape[:-3], 4, 4))]
     for i in range(arm.n):
         chain.append(chain[-1] @ links[..., i, :, :])
     return np.stack(chain, axis=-3)

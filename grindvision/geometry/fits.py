@@ -58,8 +58,8 @@ class PlaneFit:
 class SphereFit:
     """Sphere with ``centre_mm`` (3,) and ``radius_mm``; ``centre_covariance`` (3, 3) in mm squared.
 
-    The covariance follows from the residuals' rms and the points' spread over the sphere: a small cap is uncertain along
-    its axis. ``inliers`` (N,) marks the points used.
+    The covariance follows from the residuals' rms and the points' spread over the sphere: a small cap is uncertain
+    along its axis. ``inliers`` (N,) marks the points used.
     """
 
     centre_mm: Floats
@@ -223,12 +223,13 @@ def _consensus(
         count = int((distance(scored) <= threshold_mm).sum())
         if count > best:
             best, best_distance = count, distance
-        if best and 1e-6 > (1 - (best / len(scored)) ** sample_size) ** trial:
+        if best and (1 - (best / len(scored)) ** sample_size) ** trial < 1e-6:
             break
     inliers = None if best_distance is None else best_distance(points) <= threshold_mm
     if inliers is None or inliers.sum() < sample_size:
         raise DegenerateError(
-            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold and that the shape is there"
+            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold, and that the shape is"
+            " there"
         )
     return inliers
 

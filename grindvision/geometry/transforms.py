@@ -129,7 +129,7 @@ def rotation_about(axis: ArrayLike, angle_rad: float) -> Floats:
 
 
 def small_motion(twist: ArrayLike) -> Floats:
-    """Rigid transform (4, 4) of a twist (6,): shift in mm first, then the rotation vector in rad (shift not coupled)."""
+    """Rigid transform (4, 4) of a twist (6,): shift in mm, then rotation vector in rad, not coupled."""
     twist = np.asarray(twist, dtype=float)
     return rigid(Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3])
 
