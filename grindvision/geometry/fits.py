@@ -228,8 +228,8 @@ def _consensus(
     inliers = None if best_distance is None else best_distance(points) <= threshold_mm
     if inliers is None or inliers.sum() < sample_size:
         raise DegenerateError(
-            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold, and that the shape is"
-            " there"
+            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold, and that the shape"
+            " is there"
         )
     return inliers
 

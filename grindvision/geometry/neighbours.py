@@ -72,7 +72,7 @@ def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
 
 
 def cell_origin(points: Floats, size_mm: float) -> Floats:
-    """Corner (3,) from which cells are counted, one cell below the points, after checking that the cells can be keyed."""
+    """Corner (3,) from which cells are counted, one cell below the points; checks that the cells can be keyed."""
     if not size_mm > 0:
         raise InputError(f"the cell size is {size_mm} mm; it must be above zero")
     if len(points) == 0:
@@ -81,7 +81,8 @@ def cell_origin(points: Floats, size_mm: float) -> Floats:
     cells = float((high - low).max()) / size_mm
     if not cells < AXIS_CELLS - 4:
         raise InputError(
-            f"the points span {float((high - low).max()):.3g} mm, {cells:.3g} cells of {size_mm:.3g} mm; drop far outliers or take larger cells"
+            f"the points span {float((high - low).max()):.3g} mm, {cells:.3g} cells of {size_mm:.3g} mm; drop far"
+            " outliers or take larger cells"
         )
     return low - size_mm
 
@@ -99,7 +100,7 @@ def bounds(points):
 
 
 def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integers, Floats]:
-    """Nearest grid point of each query (M, 3) no farther than ``most_mm``: index (M,), -1 where none, and distance (M,).
+    """Nearest grid point of each query (M, 3) within ``most_mm``: index (M,), -1 where none, and distance (M,).
 
     Exact. Fast while ``most_mm`` is a few cells; the distance is infinite where none was found.
     """
@@ -114,7 +115,7 @@ def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integer
 
 
 def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: int | None = None) -> Neighbourhoods:
-    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest of them, in order.
+    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest, in order.
 
     The radius may not exceed the grid's cell size. A query that is itself a grid point is its own neighbour.
     """
