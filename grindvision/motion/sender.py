@@ -34,11 +34,11 @@ def send_urscript(script: str, host: str, port: int = UR_PORT, timeout_s: float 
         InputError: the script is no whole programme, or host, port or time-out make no sense.
         SendError: refused, unknown host, silent, or closed on the way; the message says what was sent.
     """
-    if not (script.startswith("def ") and script.endswith("\nend\n")):
-        raise InputError("the script is no whole programme: it must start with 'def' and finish with a line 'end'")
+    if not (script.isascii() and script.startswith("def ") and script.endswith("\nend\n")):
+        raise InputError("the script is no whole programme: ASCII text from 'def' to a last line 'end'; write it anew")
     if not host or not 0 < port < 65536 or not timeout_s > 0:
         raise InputError(f"cannot send to host {host!r}, port {port}, time-out {timeout_s} s; give all three, above 0")
-    data = script.encode("ascii", errors="replace")
+    data = script.encode("ascii")
     place = f"{host}:{port}"
     try:
         connection = socket.create_connection((host, port), timeout=timeout_s)
