@@ -40,13 +40,13 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 #: A groove's width is at least so many point spacings.
-LEAST_POINTS_ACROSS = 5.0
+LEAST_POINTS_ACROSS = 4.0
 #: Walls fall at least so steeply: depth over half the width (17 degrees).
 LEAST_WALL_SLOPE = 0.3
 #: A station belongs to the groove while its depth is above this share of the median depth.
 LEAST_DEPTH_SHARE = 0.5
 #: The profile must fit the points to this share of the depth.
-WORST_FIT_SHARE = 0.2
+WORST_FIT_SHARE = 0.12
 #: The surface beside the groove stays so near to the curve that was laid through it: share of the depth, and slope.
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
@@ -59,7 +59,7 @@ LEAST_VOLUME_SHARE = 0.05
 SHARP = 0.004
 #: A path that runs along a known groove for this share is that groove again.
 KNOWN_SHARE = 0.3
-_PASSES = 8
+_PASSES = 10
 
 
 @dataclass(frozen=True)
@@ -240,9 +240,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         curve = extended(curve, 1.5 * width, 1.5 * width, base_mm=3 * width)
         reach = 1.2 * width
         strip = lay_straight(cloud, T_field_cloud, curve, reach, 2.2 * depth, 1.2 * depth)
-        sections = gather_sections(
-            strip, len(curve), curve.step_mm, reach, width / 24, width / 5
-        )
+        sections = gather_sections(strip, len(curve), curve.step_mm, reach, width / 24, width / 5)
         start = np.tile([0, 0, 0, depth, -width / 2, 0, width / 2], (len(curve), 1))
         spread = np.array([depth / 2, 0.5, 0.3 * depth / reach**2, depth, width / 2, width / 3, width / 2])
         if number == 1:
@@ -260,7 +258,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         noise = float(np.clip(2 * np.median(fit.noise_mm[first:last]), 0.01 * depth, 0.1 * depth))
         grown = (last - first) * curve.step_mm - length
         length += grown
-        if number >= 2 and grown < 2 * curve.step_mm or number == _PASSES - 1:
+        if number >= 2 and abs(grown) < 2 * curve.step_mm or number == _PASSES - 1:
             break
         curve = _part(_recentred(curve, fit, first, last, width), first, last)
     return _finished(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), noise)
@@ -327,22 +325,29 @@ def _stations_inside(
 
 
 def _smooth(
-    fit: ProfileFit, first: int, last: int, values: Floats, parameter: int, length: float, step: float
+    fit: ProfileFit,
+    first: int,
+    last: int,
+    values: Floats,
+    parameter: int,
+    length: float,
+    step: float,
+    robust: bool = True,
 ) -> Floats:
     """Smooth values (S,) along the seam, weighted by how sure the fit is; stations outside the groove do not count."""
     floor = 0.3 * np.median(fit.deviation[first:last, parameter])
     weight = np.zeros(len(values))
     weight[first:last] = 1 / (fit.deviation[first:last, parameter] ** 2 + floor**2)
-    return smooth_along(values, weight, length, step, robust=True)
+    return smooth_along(values, weight, length, step, robust=robust)
 
 
 def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: float) -> SeamCurve:
     """Move the curve onto the surface above the root and turn its up direction onto the surface's normal."""
     theta, step = fit.parameters, curve.step_mm
     middle = (theta[:, LEFT] + theta[:, RIGHT]) / 2
-    shift = _smooth(fit, first, last, middle, ROOT, width / 2, step)
-    level = _smooth(fit, first, last, theta[:, LEVEL], LEVEL, width / 2, step)
-    tilt = _smooth(fit, first, last, theta[:, TILT], TILT, width, step)
+    shift = _smooth(fit, first, last, middle, ROOT, width / 2, step, robust=False)
+    level = _smooth(fit, first, last, theta[:, LEVEL], LEVEL, width / 2, step, robust=False)
+    tilt = _smooth(fit, first, last, theta[:, TILT], TILT, width, step, robust=False)
     stations = curve.stations + shift[:, None] * curve.across + (level + tilt * shift)[:, None] * curve.up
     return SeamCurve(stations, step, curve.along, curve.across, curve.up - tilt[:, None] * curve.across)
 
