@@ -136,7 +136,9 @@ def test_a_socket_that_closes_on_the_way_is_named(behave, script, complaint):
     assert b"\nend\n" not in controller.heard or behave is deaf_afterwards
 
 
-@pytest.mark.parametrize("script", ["", "movej([0])\n", SCRIPT[:-5], SCRIPT.rstrip("\n"), SCRIPT.replace("seam", "näht")])
+@pytest.mark.parametrize(
+    "script", ["", "movej([0])\n", SCRIPT[:-5], SCRIPT.rstrip("\n"), SCRIPT.replace("seam", "näht")]
+)
 def test_half_a_programme_is_refused_before_anyone_is_called(script):
     with socket.create_server(("127.0.0.1", 0)) as server:
         with pytest.raises(InputError, match="no whole programme"):
