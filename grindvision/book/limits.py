@@ -146,6 +146,6 @@ def displacement(rng: np.random.Generator, points_mm: Floats, rms_mm: float) -> 
     return rigid(translation_mm=middle) @ small_motion(twist) @ rigid(translation_mm=-middle)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=4)
 def _part(bead_height_mm: float) -> GrindingPart:
     return grinding_part(height_mm=bead_height_mm)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
@@ -148,7 +149,9 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
 def _here(measure: Measure, missing: dict[int, dict[str, Any]], seed: int, jobs: int) -> Iterator[dict[str, Any]]:
     from joblib import Parallel, delayed, parallel_config
 
-    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
+    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1), warnings.catch_warnings():
+        # loky replaces workers that have grown, and says so; their cases run again.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         parallel = Parallel(return_as="generator_unordered")
         yield from parallel(delayed(_measured)(measure, case, values, seed) for case, values in missing.items())
 
