@@ -14,6 +14,7 @@ import pytest
 from grindvision.book.designs import one_at_a_time, rank_sensitivity, space_filling
 from grindvision.book.study import case_rng, run_study
 from grindvision.book.study_rows import RowsFile
+from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError
 
 CASES = pd.DataFrame({"scale": [0.5, 1.0, 2.0, 4.0, 8.0, 16.0], "label": list("abcdef")})
@@ -256,3 +257,21 @@ def test_ranking_recovers_known_shares(rng):
     assert ranked.loc["a", "effect"] == pytest.approx(4.0, abs=0.1)
     with pytest.raises(InputError, match="at least 27"):
         rank_sensitivity(cases.iloc[:20], response[:20], rng)
+
+
+def test_the_command_refuses_what_it_cannot_run(tmp_path, capsys):
+    out = str(tmp_path / "rows.csv")
+    assert main(["study", "path", "-o", out, "--cases", "100"]) == 2
+    assert "power of two" in capsys.readouterr().err
+    assert main(["study", "compound", "-o", out, "--cases", "0"]) == 2
+    assert "cases 0" in capsys.readouterr().err
+    assert not (tmp_path / "rows.csv").exists()
+
+
+def test_the_command_streams_rows_and_resumes(tmp_path, capsys):
+    command = ["study", "compound", "-o", str(tmp_path / "rows.csv"), "--cases", "1", "--jobs", "1"]
+    assert main(command) == 0
+    assert "1 cases" in capsys.readouterr().out
+    first = (tmp_path / "rows.csv").read_text()
+    assert main(command) == 0
+    assert (tmp_path / "rows.csv").read_text() == first
