@@ -1,0 +1,97 @@
+"""From a cloud to the torch's way points, as the second paper's flow chart reads: detect the groove, then trace it."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.vision.gfh_groove import GfhSettings, find_groove_gfh
+from grindvision.vision.groove import DetectedGroove, find_grooves
+from grindvision.vision.seam_path import SeamPath, root_path, slab_path
+
+Flags = NDArray[np.bool_]
+VARIANTS = ("ours", "paper")
+
+#: Below this share of stations with surface on both sides, the groove lies partly outside the cloud.
+BOTH_SIDES_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class Weld:
+    """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, the largest groove's first.
+
+    ``grooves`` belong to the paths one by one; the paper's variant measures none and has one path. ``timings_s`` holds
+    seconds per stage.
+    """
+
+    variant: str
+    labels: Flags
+    paths: tuple[SeamPath, ...]
+    grooves: tuple[DetectedGroove, ...]
+    timings_s: dict[str, float]
+
+    @property
+    def path(self) -> SeamPath:
+        """The path of the largest groove."""
+        return self.paths[0]
+
+    def __str__(self) -> str:
+        others = "" if len(self.paths) == 1 else f", {len(self.paths) - 1} more groove(s)"
+        what = self.grooves[0] if self.grooves else f"groove of {int(self.labels.sum()):,} points"
+        return f"{what}; {self.path}{others}"
+
+
+def trace_weld(
+    points: ArrayLike,
+    waypoints: int = 50,
+    variant: str = "ours",
+    viewpoint_mm: ArrayLike | None = None,
+    settings: GfhSettings | None = None,
+) -> Weld:
+    """Find the groove of a cloud (N, 3) or (R, C, 3) in mm and put way points along it.
+
+    Args:
+        points: rows with NaN belong to no groove.
+        waypoints: number of way points; of slabs in the paper's variant.
+        variant: ``ours`` or ``paper``.
+        viewpoint_mm: the camera (3,), where it is not the origin.
+        settings: of the paper's variant.
+
+    Raises:
+        InputError: unknown variant, too few way points, an unusable cloud. UnitError: its size is no part's in mm.
+        NoGrooveError: there is no groove.
+
+    Warns:
+        GrindvisionWarning: the groove lies partly outside the cloud.
+    """
+    if variant not in VARIANTS:
+        raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
+    if waypoints < 2:
+        raise InputError(f"{waypoints} way points make no path; ask for at least 2")
+    begin = time.perf_counter()
+    if variant == "paper":
+        detection = find_groove_gfh(points, settings, viewpoint_mm)
+        found = time.perf_counter()
+        inside = detection.labels.ravel()[detection.finite]
+        paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
+        labels, grooves = detection.labels, ()
+    else:
+        detected = find_grooves(points, viewpoint_mm)
+        found = time.perf_counter()
+        labels, grooves = detected.labels, detected.grooves
+        paths = tuple(root_path(groove, waypoints) for groove in grooves)
+        for number, groove in enumerate(grooves, start=1):
+            if groove.edges_seen < BOTH_SIDES_SHARE:
+                warnings.warn(
+                    f"groove {number} lies partly outside the cloud: only {groove.edges_seen:.0%} of its length shows"
+                    " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view",
+                    GrindvisionWarning,
+                    stacklevel=2,
+                )
+    end = time.perf_counter()
+    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found})
