@@ -94,6 +94,22 @@ def test_spinning_keeps_tip_and_axis_and_can_be_undone():
     assert np.allclose(spun.spun(-0.7).T_base_tool, trajectory.T_base_tool)
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_steadied_frames_forget_the_noise_and_keep_the_bend(rng, closed):
+    angle = np.linspace(0, 2 * np.pi, 150, endpoint=False)[: None if closed else 60]
+    outward = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    rough = 60 * outward + rng.normal(0, 0.1, outward.shape)
+    shaken = outward + rng.normal(0, 0.05, outward.shape)
+    true = tool_trajectory(60 * outward, outward, closed=closed).T_base_tool
+    shaky, steady = (tool_trajectory(rough, shaken, closed=closed, steady_mm=mm).T_base_tool for mm in (0.0, 10.0))
+    for column in (0, 2):
+        before, after = (vector_angle(poses[:, :3, column], true[:, :3, column]).mean() for poses in (shaky, steady))
+        assert after < before / 2
+    steadied = tool_trajectory(60 * outward, outward, closed=closed, steady_mm=10.0).T_base_tool
+    assert np.degrees(vector_angle(steadied[:, :3, 2], true[:, :3, 2])).max() < 0.3  # no lag at open ends
+    assert np.array_equal(steadied[:, :3, 3], true[:, :3, 3])
+
+
 @pytest.mark.parametrize("trajectory", [s_trajectory(8), ring(12)], ids=["open", "closed"])
 def test_a_refined_trajectory_keeps_its_poses_and_its_steps_small(trajectory):
     fine = trajectory.refined(step_mm=4.0, step_rad=0.05)
@@ -125,6 +141,8 @@ def test_bad_way_points_are_named():
         tool_trajectory(positions[:1], normals[:1])
     with pytest.raises(InputError, match="both must be above 0"):
         s_trajectory().refined(0.0, 0.1)
+    with pytest.raises(InputError, match="steady_mm is -1"):
+        tool_trajectory(positions, normals, steady_mm=-1.0)
     with pytest.raises(InputError, match="travel angle"):
         tool_trajectory(positions, normals, travel_angle_rad=15.0)
     with pytest.raises(NotRigidError, match="way point 1"):

@@ -101,6 +101,7 @@ def tool_trajectory(
     closed: bool = False,
     work_angle_rad: float = 0.0,
     travel_angle_rad: float = 0.0,
+    steady_mm: float = 0.0,
 ) -> Trajectory:
     """Tool frames at way points (N, 3) in mm with outward surface normals (N, 3), both in one frame, in working order.
 
@@ -108,6 +109,10 @@ def tool_trajectory(
     hand: between way points the frame turns only as the seam and the surface turn. ``work_angle_rad`` then tilts the
     tool about x, ``travel_angle_rad`` about y; above zero the tool points forward along the seam (pushing), below it
     drags.
+
+    ``steady_mm`` above zero takes normal and direction at each way point from a parabola through all of them, weighted
+    by a Gaussian of that standard deviation along the seam: noise of single normals then no longer shakes the tool. The
+    tip stays on the way points.
 
     Raises:
         InputError: shapes differ, NaN, fewer than two way points, an angle of 90 degrees or more.
@@ -120,8 +125,14 @@ def tool_trajectory(
     for name, angle in (("work", work_angle_rad), ("travel", travel_angle_rad)):
         if not abs(angle) < np.pi / 2:
             raise InputError(f"the {name} angle is {angle:.4g} rad; it must lie within 1.57 rad (90 degrees)")
-    z = -_unit(outward, "the normal of way point {} has length zero")
-    tangents = _tangents(points, closed)
+    if not 0 <= steady_mm < np.inf:
+        raise InputError(f"steady_mm is {steady_mm:.4g}; give a length along the seam, or 0")
+    outward = _unit(outward, "the normal of way point {} has length zero")
+    if steady_mm and len(points) > 3:
+        tangents, outward = _steadied(points, outward, closed, steady_mm)
+    else:
+        tangents = _tangents(points, closed)
+    z = -outward
     across = np.cross(z, tangents)
     if (steep := np.linalg.norm(across, axis=1) < 0.1).any():
         where = int(steep.argmax())
@@ -144,6 +155,24 @@ def _tangents(points: Floats, closed: bool) -> Floats:
     line = np.concatenate([points[-1:], points, points[:1]]) if closed else points
     slopes = np.gradient(line, _arc(line), axis=0, edge_order=min(2, len(line) - 1))
     return _unit(slopes[1:-1] if closed else slopes, "the seam turns back on itself at way point {}")
+
+
+def _steadied(points: Floats, normals: Floats, closed: bool, width_mm: float) -> tuple[Floats, Floats]:
+    """Unit tangents and normals (N, 3) of the parabola that fits the way points around each one best."""
+    arc = _arc(np.concatenate([points, points[:1]]) if closed else points)
+    ahead = arc[None, : len(points)] - arc[: len(points), None]
+    if closed:
+        ahead = (ahead + arc[-1] / 2) % arc[-1] - arc[-1] / 2
+    scaled = ahead / max(width_mm, float(np.diff(arc).max()))
+    weights = np.exp(-(scaled**2) / 2)
+    terms = np.stack([np.ones_like(scaled), scaled, scaled**2], axis=-1)
+    left = np.einsum("ij,ija,ijb->iab", weights, terms, terms)
+    right = np.einsum("ij,ija,jk->iak", weights, terms, np.hstack([points, normals]))
+    fit = np.linalg.solve(left, right)
+    return (
+        _unit(fit[:, 1, :3], "the seam turns back on itself at way point {}"),
+        _unit(fit[:, 0, 3:], "the normals around way point {} cancel each other"),
+    )
 
 
 def _arc(line: Floats) -> Floats:
