@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from grindvision.vision.seam_path import SeamPath
     from grindvision.vision.weld import Weld
 
+#: Length along the seam over which the torch's frame averages what single normals say, mm.
+STEADY_MM = 8.0
+
 COLUMNS = "waypoint,x_mm,y_mm,z_mm,nx,ny,nz,roll_rad,pitch_rad,yaw_rad"
 
 
@@ -55,7 +58,10 @@ def run(options: argparse.Namespace) -> int:
         points = finite_points(cloud, options.cloud)
         check_unit(points, options.cloud, options.unit)
     weld = trace_weld(cloud.points, options.waypoints, options.variant, options.viewpoint)
-    trajectories = [tool_trajectory(path.points, path.normals, closed=path.closed) for path in weld.paths]
+    steady_mm = STEADY_MM if options.variant == "ours" else 0.0
+    trajectories = [
+        tool_trajectory(path.points, path.normals, closed=path.closed, steady_mm=steady_mm) for path in weld.paths
+    ]
     results = _results(weld)
     written = ["trajectory.csv", "labels.npy", "report.json", "report.png"]
     folder = Path(options.output)
