@@ -6,7 +6,8 @@ covariance holds for independent noise; a smooth distortion of the scanner adds 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -170,21 +171,28 @@ def icp_generalised(
     if result.num_inliers < 12:
         raise DegenerateError(f"only {result.num_inliers} points of the scans meet within {most_mm:.3g} mm")
     error = 2 * result.error / result.num_inliers
-    # small_gicp orders rotation first, about the source's origin; ours is shift first, about the centre
-    centre = move_points(result.T_target_source, source).mean(axis=0)
-    lever = result.T_target_source[:3, :3] @ skew(source.mean(axis=0))
-    change = np.block(
-        [[np.zeros((3, 3)), result.T_target_source[:3, :3].T], [result.T_target_source[:3, :3].T, np.zeros((3, 3))]]
-    )
-    change[3:, 3:] = result.T_target_source[:3, :3].T @ lever @ result.T_target_source[:3, :3].T
-    information = change.T @ result.H @ change
-    return _result(
-        result.T_target_source, np.sqrt(error), result.num_inliers / len(source), [error], result.converged, centre,
-        information, result.num_inliers, 1.0,
+    # small_gicp moves the source: turn first, then shift, in its frame; ours is shift, then turn about the centre
+    back = result.T_target_source[:3, :3].T
+    change = np.block([[np.zeros((3, 3)), back], [back, skew(source.mean(axis=0)) @ back]])
+    found = _result(
+        result.T_target_source, np.sqrt(error), result.num_inliers / len(source), [error], result.converged,
+        move_points(result.T_target_source, source.mean(axis=0)), change.T @ result.H @ change, result.num_inliers, 1.0,
     )  # fmt: skip
+    return replace(found, iterations=int(result.iterations))
 
 
-def _result(transform, rms, overlap, errors, converged, centre, information, number, sigma):
+def _result(
+    transform: Floats,
+    rms: float,
+    overlap: float,
+    errors: Sequence[float] | Floats,
+    converged: bool,
+    centre: Floats,
+    information: Floats,
+    number: float,
+    sigma: float,
+) -> FineRegistration:
+    """Pack a result; the covariance follows from ``number`` residuals of standard deviation ``sigma``."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale)
     if number > 6 and np.linalg.cond(scaled) < 1e12:
