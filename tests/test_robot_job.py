@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from motion_scene import seam
 
+from grindvision.cell import weld_scene
+from grindvision.cli import main
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
 from grindvision.errors import FileError, InputError, NotRigidError
 from grindvision.geometry import inverse, move_points, rigid, turn_vectors
@@ -80,3 +82,20 @@ def test_a_robot_file_needs_the_flange_and_a_language_it_understands(pose, tmp_p
         robot_job(options("--robot", str(arm), "--scanner-pose", pose))
     with pytest.raises(InputError, match="two is no arm of Universal Robots"):
         robot_job(options("--robot", str(arm), "--scanner-pose", pose, "--flange", "arm", "--program", "urscript"))
+
+
+def test_the_groove_door_writes_the_programme_or_nothing(tmp_path, capsys):
+    scene = weld_scene("line", np.random.default_rng(3), every=2)
+    np.save(tmp_path / "cloud.npy", scene.points)
+    T_base_piece = rigid([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [300.0, 0.0, 12.0])
+    (tmp_path / "pose.json").write_text(json.dumps((T_base_piece @ scene.scan.T_world_scanner).tolist()))
+    words = ["groove", str(tmp_path / "cloud.npy"), "-o", str(tmp_path / "out"), "--robot", "ur3"]
+    words += ["--scanner-pose", str(tmp_path / "pose.json"), "--program", "urscript"]
+    assert main([*words, "--table-top", "30"]) == 2
+    assert "behind the table" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert main(words) == 0
+    script = (tmp_path / "out" / "program.script").read_text()
+    assert script.startswith("def follow_seam():") and script.endswith("\nend\n") and script.count("movep(") >= 49
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["motion"]["robot"] == "ur3" and report["motion"]["clearance_mm"] > 2.0
+    assert report["timings_s"]["motion"] > 0 and report["parameters"]["program"] == "urscript"
