@@ -34,11 +34,12 @@ from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors, vector_angle
 from grindvision.vision.bead_path import BeadPath, trace_bead
-from grindvision.vision.detect import Detection, DetectOptions, detect, refine
+from grindvision.vision.detect import propose, refine
 from grindvision.vision.difference import find_difference
 from grindvision.vision.icp import FineRegistration
-from grindvision.vision.scan import Resolution, prepare_scan
+from grindvision.vision.scan import Resolution, prepare_pair, prepare_scan
 from grindvision.vision.scan import Scan as PreparedScan
+from grindvision.vision.verification import VerifiedPose, choose_pose
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,16 +89,32 @@ class Workplace:
 
 @dataclass(frozen=True)
 class RegisteredPair:
-    """Both scans made ready, and the registration T_sample_test between them."""
+    """Both scans made ready, the coarse pose, and the registration T_sample_test between them."""
 
     sample: PreparedScan
     test: PreparedScan
+    coarse: VerifiedPose
     registration: FineRegistration
 
     @classmethod
-    def of(cls, detection: Detection) -> RegisteredPair:
-        """The pair that a detection compared."""
-        return cls(detection.sample, detection.test, detection.registration)
+    def of(cls, sample_points: Floats, test_points: Floats) -> RegisteredPair:
+        """Register two scans (N, 3) from nothing, by the stages of ``vision.detect``.
+
+        Raises:
+            DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
+        """
+        rng = np.random.default_rng(0)
+        sample, test = prepare_pair(sample_points, test_points, (np.zeros(3), np.zeros(3)))
+        test, poses = propose(sample, test, rng)
+        coarse = choose_pose(test, sample, poses, rng)
+        return cls(sample, test, coarse, refine(sample, test, coarse, rng))
+
+    def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
+        """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
+        size = self.sample.surfels.grid.size_mm
+        test = prepare_scan(test_points, Resolution(size / 3, size, self.sample.voxels.grid.size_mm), np.zeros(3))
+        coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
+        return replace(self, test=test, registration=refine(self.sample, test, coarse, np.random.default_rng(0)))
 
     def at(self, T_sample_test: Floats) -> RegisteredPair:
         """The same scans under another registration (4, 4)."""
@@ -294,17 +311,9 @@ def _view_of_good_part(place: Workplace, scanner: Scanner, rng: np.random.Genera
 
 def _pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
     """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
-    options = DetectOptions(viewpoint_sample_mm=np.zeros(3), viewpoint_test_mm=np.zeros(3))
     if believed is None:
-        return [RegisteredPair.of(detect(sample.points, test.points, options)) for test in tests]
-    first = detect(sample.points, tests[0].points, options)
-    size = first.sample.surfels.grid.size_mm
-    resolution = Resolution(size / 3, size, first.sample.voxels.grid.size_mm)
-    pairs = [RegisteredPair.of(first)]
-    for test, T_base_scanner in zip(tests[1:], believed[1:], strict=True):
-        seen = prepare_scan(test.points, resolution, np.zeros(3))
-        T_sample_test = first.T_sample_test @ inverse(believed[0]) @ T_base_scanner
-        start = replace(first.coarse, registration=replace(first.coarse.registration, T_target_source=T_sample_test))
-        fine = refine(first.sample, seen, start, np.random.default_rng(options.seed))
-        pairs.append(RegisteredPair(first.sample, seen, fine))
-    return pairs
+        return [RegisteredPair.of(sample.points, test.points) for test in tests]
+    first = RegisteredPair.of(sample.points, tests[0].points)
+    T_sample_base = first.registration.T_target_source @ inverse(believed[0])
+    moved = zip(tests[1:], believed[1:], strict=True)
+    return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]

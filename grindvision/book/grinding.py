@@ -49,7 +49,7 @@ class GroundBead:
 
     @property
     def left_mm(self) -> float:
-        """Highest remainder along the path."""
+        """Highest remainder along the path; below zero where even that lies below the good surface."""
         return float(self.after_mm[self.along].max())
 
     @property

@@ -20,7 +20,6 @@ from grindvision.cell.grinding_scene import grinding_scene
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, small_motion, vector_angle
 from grindvision.vision.bead_path import BeadPath
-from grindvision.vision.detect import DetectOptions, detect
 from grindvision.vision.voxel_grid import voxel_grid
 
 Floats = NDArray[np.float64]
@@ -87,8 +86,7 @@ def found_path(
     """
     scene = grinding_scene(rng, overlap=overlap, part=_part(bead_height_mm), every=2)
     sample, test = (voxel_grid(scan.points, voxel_mm).centroids for scan in (scene.sample, scene.test))
-    options = DetectOptions(viewpoint_sample_mm=np.zeros(3), viewpoint_test_mm=np.zeros(3))
-    pair = RegisteredPair.of(detect(sample, test, options))
+    pair = RegisteredPair.of(sample, test)
     T_sample_test = pair.registration.T_target_source
     spots = scene.test.true_points[:: len(scene.test) // 1000]
     path = pair.at(T_sample_test @ displacement(rng, spots, registration_mm)).bead(points)
