@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -43,8 +44,9 @@ def build_sweep(points: ArrayLike, radius_mm: float) -> CellSweep:
 
 
 def sweep(kernel: Callable[..., None], grid: CellGrid, *arguments: object) -> None:
-    """Call ``kernel(first_cell, last_cell, points, order, starts, table_keys, table_cells, origin, per_mm, *arguments)``.
+    """Call ``kernel(first_cell, last_cell, *grid, *arguments)`` for ranges of cells that together make up the grid.
 
+    ``*grid`` are points, order, starts, table_keys, table_cells, origin and cells per mm, as ``CellGrid`` holds them.
     The kernel must release the interpreter lock and write only what belongs to the points of its own cells.
     """
     cells = len(grid.starts) - 1
@@ -55,9 +57,7 @@ def sweep(kernel: Callable[..., None], grid: CellGrid, *arguments: object) -> No
         kernel(0, cells, *fixed, *arguments)
         return
     with ThreadPoolExecutor(cores) as pool:
-        for done in [
-            pool.submit(kernel, int(a), int(b), *fixed, *arguments) for a, b in zip(cuts, cuts[1:], strict=False)
-        ]:
+        for done in [pool.submit(kernel, int(a), int(b), *fixed, *arguments) for a, b in pairwise(cuts)]:
             done.result()
 
 

@@ -53,7 +53,8 @@ class AngleHistograms:
     global_deg: Floats
 
     def __str__(self) -> str:
-        return f"{len(self.local_deg)} neighbours: local std {self.local_deg.std():.2f}, global {self.global_deg.std():.2f} deg"
+        local, whole = self.local_deg.std(), self.global_deg.std()
+        return f"{len(self.local_deg)} neighbours: local std {local:.2f}, global {whole:.2f} deg"
 
 
 def plane_normals(points: ArrayLike, radius_mm: float, towards: ArrayLike) -> Floats:
@@ -89,7 +90,7 @@ def base_normal(normals: ArrayLike) -> Floats:
 
 
 def groove_features(points: ArrayLike, normals: ArrayLike, radius_mm: float) -> GrooveFeatures:
-    """Variation of local and global angles of all points (N, 3) with unit normals (N, 3); 0 with fewer than 2 others."""
+    """Variation of local and global angles of points (N, 3) with unit normals (N, 3); 0 with fewer than 2 others."""
     points = check_points(points, "points", least=3)
     normals = np.ascontiguousarray(normals, dtype=float)
     base = base_normal(normals)

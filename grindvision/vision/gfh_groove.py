@@ -38,10 +38,10 @@ class GfhSettings:
 
 @dataclass(frozen=True)
 class GfhDetection:
-    """The paper's groove: ``labels`` in the cloud's shape, and the steps that led there, for the K finite points.
+    """The paper's groove: ``labels`` in the cloud's shape, and the steps there for K points.
 
-    ``smoothed`` (K, 3) mm, ``normals`` (K, 3), ``features``, ``above`` (K,) over the threshold, ``voted`` (K,) after the
-    vote; ``finite`` says which rows of the flat cloud the K points are.
+    ``smoothed`` (K, 3) mm, ``normals`` (K, 3), ``features``, ``above`` (K,) over the threshold, ``voted`` (K,) after
+    the vote; ``finite`` says which rows of the flat cloud the K points are.
     """
 
     labels: Flags
@@ -53,8 +53,8 @@ class GfhDetection:
     voted: Flags
 
     def __str__(self) -> str:
-        share = self.labels.mean()
-        return f"groove of {int(self.labels.sum()):,} points, {share:.1%} of the cloud, base normal {self.features.base_normal.round(3)}"
+        count, share = int(self.labels.sum()), self.labels.mean()
+        return f"groove of {count:,} points, {share:.1%} of the cloud, base normal {self.features.base_normal.round(3)}"
 
 
 def find_groove_gfh(

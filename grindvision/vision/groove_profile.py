@@ -1,8 +1,8 @@
 """The cross-section of a V-groove: a plate, bent at most gently, and two walls that fall towards each other.
 
 Fitted at every station of a seam to the cloud laid straight. In a cross-section the coordinate u runs across the seam
-and the height is ``a + b u + c B(u) - d V(u)``: B is u^2 on the plate and its chord between the groove's edges, the roof
-V rises from 0 at both edges to 1 at the root, which may be a flat strip; edges and root may be rounded.
+and the height is ``a + b u + c B(u) - d V(u)``: B is u^2 on the plate and its chord between the groove's edges, the
+roof V rises from 0 at both edges to 1 at the root, which may be a flat strip; edges and root may be rounded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Sections:
 
 @dataclass(frozen=True)
 class Corners:
-    """What all sections of a groove share: rounding of the edges, rounding of the root, half width of a flat root, mm."""
+    """What all sections of a groove share, mm: rounding of edges and of root, half width of a flat root."""
 
     edge_mm: float
     root_mm: float
@@ -44,9 +44,9 @@ class Corners:
 
 @dataclass(frozen=True)
 class ProfileFit:
-    """``parameters`` (S, 7): level, tilt, bend, depth, and u of left edge, root and right edge, mm; ``deviation`` (S, 7).
+    """``parameters`` (S, 7): level, tilt, bend, depth, and u of left edge, root and right edge, mm.
 
-    ``noise_mm`` (S,) is the spread of the profile about the fit.
+    ``deviation`` (S, 7) are their standard deviations, ``noise_mm`` (S,) is the spread of the profile about the fit.
     """
 
     parameters: Floats
@@ -58,7 +58,7 @@ class ProfileFit:
 def gather_sections(
     strip: Strip, stations: int, step_mm: float, reach_mm: float, bin_mm: float, window_mm: float
 ) -> Sections:
-    """Mean profiles of a straightened cloud, one per station, averaged along the seam with a Gaussian of ``window_mm``."""
+    """Mean profiles of a straightened cloud, one per station, over a Gaussian window along the seam."""
     bins = 2 * int(np.ceil(reach_mm / bin_mm)) + 1
     sums = _bin_sums(strip.along, strip.across, strip.up, stations, step_mm, bins, bin_mm)
     if window_mm > 0:
@@ -71,8 +71,8 @@ def gather_sections(
 def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Corners, noise_mm: float) -> ProfileFit:
     """Fit the groove's cross-section at every station.
 
-    Damped Gauss-Newton over all stations at once, with Huber weights and a weak normal prior that keeps what the profile
-    does not show (an edge beyond the part's outline).
+    Damped Gauss-Newton over all stations at once, with Huber weights and a weak normal prior that keeps what the
+    profile does not show (an edge beyond the part's outline).
 
     Args:
         sections: the mean profiles.

@@ -121,8 +121,8 @@ def smoothed(field: HeightField, sigma_mm: float) -> Floats:
 def closed(heights_mm: Floats, radius_cells: float) -> Floats:
     """Morphological closing of heights (R, C) with a flat disc: dilation, then erosion.
 
-    The dilation spreads into the empty cells and the erosion uses what it wrote there, so that surfaces that slope down to
-    their outline are not lifted; empty cells themselves count as infinitely low.
+    The dilation spreads into the empty cells and the erosion uses what it wrote there, so that surfaces that slope down
+    to their outline are not lifted; empty cells themselves count as infinitely low.
     """
     margin = int(radius_cells) + 1
     low = np.pad(np.where(np.isfinite(heights_mm), heights_mm, -np.inf), margin, constant_values=-np.inf)

@@ -37,7 +37,7 @@ class SeamCurve:
 
 @dataclass(frozen=True)
 class Strip:
-    """Points near a curve in its coordinates, mm: ``along``, ``across`` and ``up`` (K,); ``index`` (K,) into the cloud."""
+    """Points near a curve: ``index`` (K,) into the cloud and, mm, their ``along``, ``across`` and ``up`` (K,)."""
 
     index: Integers
     along: Floats
@@ -50,8 +50,8 @@ def smooth_along(
 ) -> Floats:
     """Whittaker smoothing of evenly spaced values (S, K): least squares with penalised second differences.
 
-    Waves longer than about ``2 pi length_mm`` pass. Values of weight zero are bridged, ends continued straight. ``robust``
-    lowers the weight of values that stand out (Tukey's biweight).
+    Waves longer than about ``2 pi length_mm`` pass. Values of weight zero are bridged, ends continued straight.
+    ``robust`` lowers the weight of values that stand out (Tukey's biweight).
 
     Args:
         values: (S,) or (S, K).
@@ -91,7 +91,7 @@ def build_curve(path: Floats, up: Floats, step_mm: float) -> SeamCurve:
     """
     up = np.broadcast_to(up, path.shape)
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    count = max(int(round(lengths[-1] / step_mm)), 3) + 1
+    count = max(round(lengths[-1] / step_mm), 3) + 1
     at = np.linspace(0, lengths[-1], count)
     stations = np.stack([np.interp(at, lengths, path[:, k]) for k in range(3)], axis=1)
     along = _unit(np.gradient(stations, axis=0))

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
-from grindvision.vision.groove import DetectedGroove
+from grindvision.vision.groove_fit import DetectedGroove
 
 Floats = NDArray[np.float64]
 
-#: As the paper prints them (Section IV): the descent stops when the cost changes less than this, or after so many steps.
+#: As the paper prints them (Section IV): the descent stops at a smaller change of cost, or after so many steps.
 COST_CHANGE, MOST_STEPS = 1e-4, 1000
 #: As the first author's early code has them: first step, and its shortening when the cost rises.
 FIRST_STEP, SHORTENING = 0.01, 0.8

@@ -27,7 +27,7 @@ LEAST_RELIEF, LEAST_ASPECT = 0.12, 1.5
 #: The middle of a valley is at least so many cells from its rim: what is narrower belongs to a finer raster.
 LEAST_INNER_CELLS = 2.0
 #: A valley must stand out of the residue that noise and waviness leave everywhere.
-LEAST_CONTRAST = 4.0
+LEAST_CONTRAST = 2.5
 #: Valleys looked at, deepest first, in one height field.
 MOST_VALLEYS = 6
 #: Share of the greatest volume at which a smaller disc is preferred to a larger one.
