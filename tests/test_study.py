@@ -255,8 +255,8 @@ def test_ranking_recovers_known_shares(rng):
         assert ranked.loc[name, "share"] == pytest.approx(part / sum(parts.values()), abs=0.02)
     assert (ranked["share_std"] < 0.06).all() and (ranked.loc[["c", "d"], "share_std"] < 0.01).all()
     assert ranked.loc["a", "effect"] == pytest.approx(4.0, abs=0.1)
-    with pytest.raises(InputError, match="at least 27"):
-        rank_sensitivity(cases.iloc[:20], response[:20], rng)
+    with pytest.raises(InputError, match="at least 18"):
+        rank_sensitivity(cases.iloc[:15], response[:15], rng)
 
 
 def test_the_command_refuses_what_it_cannot_run(tmp_path, capsys):

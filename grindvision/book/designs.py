@@ -77,7 +77,7 @@ def rank_sensitivity(
         change of the response from the low to the high end of the range by the linear term, NaN in the last row.
 
     Raises:
-        InputError: fewer than three cases per term, or lengths that differ.
+        InputError: fewer than two cases per term, or lengths that differ.
     """
     import pandas as pd
 
@@ -89,8 +89,8 @@ def rank_sensitivity(
     low, high = scaled.min(axis=0), scaled.max(axis=0)
     scaled = 2 * (scaled - low) / (high - low) - 1
     terms = np.column_stack([np.ones(len(values)), scaled, 1.5 * scaled**2 - 0.5])
-    if len(values) < 3 * terms.shape[1]:
-        raise InputError(f"{len(values)} cases for {terms.shape[1]} terms; give at least {3 * terms.shape[1]}")
+    if len(values) < 2 * terms.shape[1]:
+        raise InputError(f"{len(values)} cases for {terms.shape[1]} terms; give at least {2 * terms.shape[1]}")
     count = len(names)
     groups = [[1 + i, 1 + count + i] for i in range(count)]
     shares = _shares(terms, values, groups)
