@@ -28,7 +28,7 @@ BLOCKS_ACROSS = 12
 
 
 def refine_bent(
-    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 3
+    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 2
 ) -> FineRegistration:
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 

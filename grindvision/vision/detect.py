@@ -125,7 +125,7 @@ def propose(sample: Scan, test: Scan, rng: np.random.Generator) -> tuple[Scan, F
 
 
 def refine(
-    sample: Scan, test: Scan, coarse: VerifiedPose, rng: np.random.Generator, points: int = 8_000
+    sample: Scan, test: Scan, coarse: VerifiedPose, rng: np.random.Generator, points: int = 6_000
 ) -> FineRegistration:
     """Point-to-plane ICP on fine surfels from the verified pose, then once more with a smooth bending allowed."""
     chosen = rng.permutation(len(test.surfels))[:points]

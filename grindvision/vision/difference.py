@@ -149,7 +149,8 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
         )
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
     candidates = shown & (np.nan_to_num(signed) > level)
-    candidates &= ~suspicious | _in_front(good, seen_from(sample, back), surfels.points, size)
+    doubtful = np.flatnonzero(candidates & suspicious)
+    candidates[doubtful] = _in_front(good, seen_from(sample, back), surfels.points[doubtful], size)
     asked = np.flatnonzero(candidates)
     candidates[asked] = _surrounded(good, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked])
     clusters = _clusters(test, good, candidates, signed, level, normals, least_surfels)
@@ -185,7 +186,7 @@ def _pose_variance(registration: FineRegistration, points: Floats, normals: Floa
     transform = registration.T_target_source
     up = turn_vectors(transform, normals)
     jacobian = np.column_stack([up, np.cross(move_points(transform, points) - registration.centre_mm, up)])
-    return np.einsum("ij,jk,ik->i", jacobian, registration.covariance, jacobian)
+    return ((jacobian @ registration.covariance) * jacobian).sum(axis=1)
 
 
 def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
@@ -204,7 +205,7 @@ def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: floa
 
 def _in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: float) -> Flags:
     """Points that the sample's scanner would have seen in front of what it saw: new material, not an unseen wall."""
-    if viewpoint is None:
+    if viewpoint is None or len(points) == 0:
         return np.zeros(len(points), dtype=bool)
     middle = good.points.mean(axis=0) - viewpoint
     distance = float(np.linalg.norm(middle))

@@ -135,7 +135,7 @@ def choose_pose(
             f" {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed); are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
-    rivals = candidates[1:] + judge.turned(best)
+    rivals = candidates[1:] + judge.turned(best, verdict)
     rival = max(
         (v for other, v in rivals if judge.differ(other.T_target_source, best.T_target_source)),
         key=lambda v: v.score,
@@ -160,17 +160,25 @@ class _Judge:
         self.centre = points.mean(axis=0)
         self.extent = float(np.sqrt(((points - self.centre) ** 2).sum(axis=1).mean()))
 
-    def refined(self, pose: Floats) -> tuple[FineRegistration, Agreement] | None:
-        """Coarse-to-fine ICP from ``pose`` and its agreement; None when the scans do not meet there."""
+    def refined(self, pose: Floats, least_agreeing: float = 0.0) -> tuple[FineRegistration, Agreement] | None:
+        """Coarse-to-fine ICP from ``pose`` and its agreement.
+
+        None when the scans do not meet there, or when after the coarse stage less than ``least_agreeing`` of the source
+        is anywhere near the target.
+        """
+        voxel, size = self.coarse_target.grid.size_mm, self.target.grid.size_mm
+        few, few_normals = self.points[:400], self.normals[:400]
         try:
-            size = self.target.grid.size_mm
-            found = icp_planes(self.points, self.normals, self.target, pose, 6 * size, self.within_mm, iterations=12)
+            found = icp_planes(few, few_normals, self.coarse_target, pose, 1.5 * voxel, self.within_mm, iterations=10)
+            near = agreement(few, few_normals, self.coarse_target, found.T_target_source, 3 * self.within_mm)
+            if near.agreeing < least_agreeing:
+                return None
             found = icp_planes(
                 self.points,
                 self.normals,
                 self.target,
                 found.T_target_source,
-                3 * size,
+                1.5 * size,
                 self.within_mm / 3,
                 iterations=8,
             )
@@ -178,17 +186,20 @@ class _Judge:
             return None
         return found, agreement(self.points, self.normals, self.target, found.T_target_source, self.within_mm)
 
-    def refined_all(self, poses: Iterable[Floats]) -> list[tuple[FineRegistration, Agreement]]:
+    def refined_all(
+        self, poses: Iterable[Floats], least_agreeing: float = 0.0
+    ) -> list[tuple[FineRegistration, Agreement]]:
         """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""
         with ThreadPoolExecutor(2) as pool:
-            return [found for found in pool.map(self.refined, poses) if found]
+            refined = pool.map(lambda pose: self.refined(pose, least_agreeing), poses)
+            return [found for found in refined if found]
 
     def differ(self, pose: Floats, other: Floats) -> bool:
         """Whether two poses are apart by more than 2 % of the extent or 3 degrees."""
         shift = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
         return bool(shift > 0.04 * self.extent or angle_between(pose, other) > np.radians(3))
 
-    def turned(self, best: FineRegistration) -> list[tuple[FineRegistration, Agreement]]:
+    def turned(self, best: FineRegistration, verdict: Agreement) -> list[tuple[FineRegistration, Agreement]]:
         """The best few of the 23 turns of a box about the source's principal axes, refined."""
         _, axes = np.linalg.eigh(np.cov(self.points.T))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -212,7 +223,7 @@ class _Judge:
         order = np.argsort(-rough, kind="stable")
         order = order[rough[order] > 0.4 * rough.max(initial=0)]
         poses, _ = distinct_poses(poses[order], rough[order], self.centre, np.inf, np.radians(20), 4)
-        return self.refined_all(poses)
+        return self.refined_all(poses, 0.6 * verdict.agreeing)
 
     def refuse_free_motions(self, best: FineRegistration, verdict: Agreement) -> None:
         """Slide along the three motions the surface resists least; refuse when the scans fit there as well."""
