@@ -320,7 +320,8 @@ def _cloud_of_records(path: Path, file: BinaryIO, count: int, names: list[str], 
     left = path.stat().st_size - file.tell()
     if count * record.itemsize > left:
         raise FileError(
-            f"{path}: the header announces {count} points of {record.itemsize} bytes, the file holds {left} bytes; it is cut short or damaged"
+            f"{path}: the header announces {count} points of {record.itemsize} bytes, the file holds {left} bytes; it"
+            " is cut short or damaged"
         )
     rows = np.fromfile(file, dtype=record, count=count)
 

@@ -1,5 +1,6 @@
 """Cloud files: what is written is read back; what is damaged is refused before memory is taken."""
 
+import contextlib
 import struct
 
 import numpy as np
@@ -93,6 +94,8 @@ def test_pickled_arrays_are_not_loaded(tmp_path):
         read_cloud(tmp_path / "a.npy")
 
 
+PCD_HEAD = b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+
 BAD = {
     "empty.ply": b"",
     "giant.ply": ply(range(10**12), "binary_little_endian"),
@@ -108,8 +111,9 @@ BAD = {
     "two.csv": b"x,y\n1,2\n",
     "bytes.xyz": bytes(range(128, 256)),
     "head.pcd": b"VERSION .7\nFIELDS x y z\nDATA ascii\n1 2 3\n",
-    "giant.pcd": b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1000000000000\nHEIGHT 1\nPOINTS 1\nDATA binary\n",
-    "packed.pcd": b"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 900000\nHEIGHT 1\nPOINTS 900000\nDATA binary_compressed\n"
+    "giant.pcd": PCD_HEAD + b"WIDTH 1000000000000\nHEIGHT 1\nPOINTS 1\nDATA binary\n",
+    "packed.pcd": PCD_HEAD
+    + b"WIDTH 900000\nHEIGHT 1\nPOINTS 900000\nDATA binary_compressed\n"
     + struct.pack("<II", 10, 10800000)
     + bytes(10),
     "giant.stl": struct.pack("<80xI", 4_000_000_000) + bytes(50),
@@ -143,10 +147,8 @@ def test_a_mangled_file_gives_points_or_a_named_error(tmp_path, cut, flips):
             body[at] = value
     path = tmp_path / "mangled.ply"
     path.write_bytes(bytes(body[:cut]))
-    try:
+    with contextlib.suppress(GrindvisionError):
         assert len(read_cloud(path)) > 0
-    except GrindvisionError:
-        pass
 
 
 def test_nan_points_are_dropped_with_a_warning(points):

@@ -1,8 +1,9 @@
 """Path points along the ridge of a bead (ours, in place of section 3.6's boxes).
 
-The pieces of the difference are ordered along themselves by the distance walked on them from one end; that also tells an
-open bead from a closed one and from one that branches. The ridge is where the height over the good surface is greatest
-across the bead: the vertex of a parabola fitted across, which uneven sampling does not pull aside as it does a centroid.
+The pieces of the difference are ordered along themselves by the distance walked on them from one end; that also tells
+an open bead from a closed one and from one that branches. The ridge is where the height over the good surface is
+greatest across the bead: the vertex of a parabola fitted across, which uneven sampling does not pull aside as it does a
+centroid.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class BeadPath:
 
     def __str__(self) -> str:
         shape = "closed" if self.closed else "open"
-        return f"{shape} bead, {self.length_mm:.1f} mm long, {self.width_mm:.1f} wide, {self.height_mm:.2f} high: {len(self.points)} points"
+        size = f"{self.length_mm:.1f} mm long, {self.width_mm:.1f} wide, {self.height_mm:.2f} high"
+        return f"{shape} bead, {size}: {len(self.points)} points"
 
     def tool_axes(self) -> Floats:
         """Directions (n, 3) in which the tool points: opposite to the normals."""
@@ -180,7 +182,8 @@ def _ordered(graph: coo_array, nodes: Floats, weights: Floats, bands: Integers) 
     if forks:
         x, y, z = places[forks[0]]
         raise DegenerateError(
-            f"the bead branches near ({x:.1f}, {y:.1f}, {z:.1f}) mm; grind one branch first, or cut the test scan so that each bead is by itself"
+            f"the bead branches near ({x:.1f}, {y:.1f}, {z:.1f}) mm; grind one branch first, or cut the test scan so"
+            " that each bead is by itself"
         )
     leaves = [at for at in alive if len(links[at]) == 1]
     order = [min(leaves, key=lambda at: places[at, 0]) if leaves else min(alive, key=lambda at: places[at, 0])]

@@ -32,8 +32,8 @@ def refine_bent(
 ) -> FineRegistration:
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 
-    The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent, not
-    single residuals.
+    The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent,
+    not single residuals.
     """
     source, normals = np.asarray(source, dtype=float), np.asarray(source_normals, dtype=float)
     size = target.grid.size_mm

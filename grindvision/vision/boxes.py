@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OrientedBox:
-    """Box with ``centre_mm`` (3,), unit ``axes`` (3, 3) as rows, longest first, and full ``size_mm`` (3,) along them."""
+    """Box with ``centre_mm`` (3,), unit ``axes`` (3, 3) as rows, longest first, and full ``size_mm`` (3,)."""
 
     centre_mm: Floats
     axes: Floats

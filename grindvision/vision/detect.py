@@ -37,8 +37,8 @@ class DetectOptions:
 class Detection:
     """Result of ``detect``; everything but ``T_sample_test`` is in the frame of the test scan.
 
-    ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out, ``beads`` its
-    paths, largest first; ``timings_s`` the stages' times.
+    ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out, ``beads``
+    its paths, largest first; ``timings_s`` the stages' times.
     """
 
     sample: Scan

@@ -1,10 +1,10 @@
 """What stands out of the good part (section 3.5): a signed difference with a level of detection, in clusters.
 
-The paper keeps test points farther than a threshold from their nearest sample point: ``difference_paper``. Ours measures
-along the sample's normal, against its surface and not its points, and asks whether a difference is more than noise: the
-level of detection of M3C2 (Lague 2013), 1.96 standard deviations of the two surfaces' noise, of their roughness where
-planes fit badly, of the pose, and of what scanner distortion leaves over the whole field. Surface that one of the two
-scans does not show (shadows, outline) is not a difference.
+The paper keeps test points farther than a threshold from their nearest sample point: ``difference_paper``. Ours
+measures along the sample's normal, against its surface and not its points, and asks whether a difference is more than
+noise: the level of detection of M3C2 (Lague 2013), 1.96 standard deviations of the two surfaces' noise, of their
+roughness where planes fit badly, of the pose, and of what scanner distortion leaves over the whole field. Surface
+that one of the two scans does not show (shadows, outline) is not a difference.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MOST_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
 
 LEAST_SPREAD = 0.4
-"""A piece whose feet cover fewer cells of the good surface than this share of its own is a wall seen in one scan only."""
+"""A piece whose feet cover fewer cells of the good surface than this share of its own is a wall seen in one scan."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Cluster:
     peak_mm: float
 
     def __str__(self) -> str:
-        return f"{len(self.points):,} points, {self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
+        size = f"{self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
+        return f"{len(self.points):,} points, {size}"
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,8 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * spread)
     if changed.sum() > MOST_CHANGED * shown.sum():
         raise DegenerateError(
-            f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
+            f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than"
+            f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
         )
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
     candidates = shown & (np.nan_to_num(signed) > level)

@@ -89,7 +89,7 @@ def rasterise(points: ArrayLike, T_field_cloud: ArrayLike, cell_mm: float) -> He
     """Mean height of the points (N, 3) over every cell; the frame is shifted so that all cells count from zero."""
     points = np.ascontiguousarray(points, dtype=float)
     frame = np.asarray(T_field_cloud, dtype=float)
-    low, high = _field_bounds(points, frame)
+    low, high = field_bounds(points, frame)
     shifted = frame.copy()
     shifted[:2, 3] -= low[:2] - cell_mm / 2
     shape = np.floor((high[:2] - low[:2]) / cell_mm + 0.5).astype(int) + 1
@@ -99,7 +99,7 @@ def rasterise(points: ArrayLike, T_field_cloud: ArrayLike, cell_mm: float) -> He
 def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
     """Typical distance in mm of neighbouring points over the field's plane: root of covered area per point."""
     points = np.ascontiguousarray(points, dtype=float)
-    low, high = _field_bounds(points, np.asarray(T_field_cloud, dtype=float))
+    low, high = field_bounds(points, np.asarray(T_field_cloud, dtype=float))
     cell = float(max(high[0] - low[0], high[1] - low[1])) / 200
     cells = len(points)
     while cells * LEAST_POINTS_PER_CELL > len(points):
@@ -139,7 +139,8 @@ def _own_frame(points: Floats) -> Floats:
     centre = points.mean(axis=0)
     centred = points - centre
     axes = np.linalg.eigh(centred.T @ centred)[1][:, ::-1]
-    axes = axes * np.where(((centred @ axes) ** 3).sum(axis=0) >= 0, 1, -1)
+    turned = centred @ axes
+    axes = axes * np.where(np.einsum("ij,ij,ij->j", turned, turned, turned) >= 0, 1, -1)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     return inverse(rigid(axes, centre))
 
@@ -183,7 +184,8 @@ def _frame(points: Floats, centre: Floats, up: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _field_bounds(points, frame):
+def field_bounds(points, frame):
+    """Lowest and highest coordinates (3,) of points (N, 3) in a field frame (4, 4)."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for p in range(len(points)):
         for k in range(3):

@@ -45,8 +45,8 @@ def orient_to_viewpoint(points: ArrayLike, normals: ArrayLike, viewpoint_mm: Arr
 def orient_by_neighbours(points: ArrayLike, normals: ArrayLike, radius_mm: float) -> Floats:
     """Normals (N, 3) made consistent along the surface, each connected piece bulging towards its normals.
 
-    Signs are handed from point to point along the spanning tree that turns least (Hoppe 1992); the sign of a whole piece
-    is the one for which its normals point away from its middle. For a nearly flat piece that sign is a guess.
+    Signs are handed from point to point along the spanning tree that turns least (Hoppe 1992); the sign of a whole
+    piece is the one for which its normals point away from its middle. For a nearly flat piece that sign is a guess.
     """
     points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
     around = within_radius(build_cells(points, radius_mm), points, radius_mm, 12)
