@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from grindvision.vision.height_field import HeightField, closed, rasterise, smoothed
+from grindvision.vision.height_field import HeightField, closed, field_bounds, rasterise, smoothed
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -28,6 +28,8 @@ LEAST_RELIEF, LEAST_ASPECT = 0.12, 1.5
 LEAST_INNER_CELLS = 2.0
 #: A valley must stand out of the residue that noise and waviness leave everywhere.
 LEAST_CONTRAST = 2.5
+#: The smallest disc tried, as a share of the part's smaller side; a dense cloud would allow far smaller ones.
+LEAST_RADIUS_SHARE = 0.012
 #: Valleys looked at, deepest first, in one height field.
 MOST_VALLEYS = 6
 #: Share of the greatest volume at which a smaller disc is preferred to a larger one.
@@ -95,8 +97,9 @@ def find_valleys(
 
 
 def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[float]:
-    spans = np.ptp(points @ T_field_cloud[:2, :3].T, axis=0)
-    radii = [8 * spacing_mm]
+    low, high = field_bounds(points, T_field_cloud)
+    spans = (high - low)[:2]
+    radii = [max(8 * spacing_mm, LEAST_RADIUS_SHARE * float(spans.min()))]
     while 2 * radii[-1] < spans.min() / 3:
         radii.append(2 * radii[-1])
     return radii
