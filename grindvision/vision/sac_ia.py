@@ -132,9 +132,9 @@ def propose_poses(
     source: Keypoints,
     target: Keypoints,
     rng: np.random.Generator,
-    batch: int = 50_000,
+    batch: int = 40_000,
     batches: int = 5,
-    queries: int = 1500,
+    queries: int = 1200,
     similar: int = 3,
     kept: int = 40,
 ) -> tuple[Floats, Floats]:

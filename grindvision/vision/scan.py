@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry import check_points, inverse, move_points
+from grindvision.geometry import inverse, move_points
 from grindvision.geometry.neighbours import build_cells, nearest
 from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
@@ -47,12 +47,12 @@ class Scan:
         return f"{len(self.points):,} points, {self.surfels}, {len(self.keypoints):,} keypoints"
 
 
-def choose_resolution(points: ArrayLike, voxels: int = 4000) -> Resolution:
-    """Cell sizes for a scan (N, 3): about one surfel per 14 points, 40,000 at least where the points allow it, and about
+def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
+    """Cell sizes for a scan (N, 3): about one surfel per 20 points, 25,000 at least where the points allow it, and about
     ``voxels`` coarse cells."""
-    points = check_points(points, "points", least=10)
+    points = np.asarray(points, dtype=float)
     area = surface_area(points)
-    surfels = min(max(len(points) / 14, 40_000), len(points) / 2)
+    surfels = min(max(len(points) / 20, 25_000), len(points) / 2)
     return Resolution(float(np.sqrt(area / len(points))), float(np.sqrt(area / surfels)), float(np.sqrt(area / voxels)))
 
 
@@ -71,7 +71,7 @@ def prepare_scan(
         viewpoint_mm: the scanner (3,) in the frame of the points; guessed when left out (``guess_viewpoint``).
         feature_voxels: FPFH radius in voxels.
     """
-    points = check_points(points, "points", least=10)
+    points = np.asarray(points, dtype=float)
     viewpoint = guess_viewpoint(points) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
     fine = build_surfels(points, resolution.surfel_mm)
     coarse = build_surfels(fine.points, resolution.voxel_mm)

@@ -60,14 +60,14 @@ def build_surfels(points: ArrayLike, size_mm: float) -> Surfels:
 
 
 def surface_area(points: ArrayLike) -> float:
-    """Rough area in mm^2 of the scanned surface: occupied cells of 1/100 of the diagonal, on a sample of the points.
+    """Rough area in mm^2 of the scanned surface: occupied cells of 1/70 of the diagonal, on a sample of the points.
 
     Raises:
         DegenerateError: fewer than 10 points, or all in one place.
     """
-    points = check_points(points, "points", least=10)
-    points = points[:: max(len(points) // 60_000, 1)]
-    size = float(np.linalg.norm(np.ptp(points, axis=0))) / 100
+    points = np.asarray(points, dtype=float)
+    points = check_points(points[:: max(len(points) // 20_000, 1)], "points", least=10)
+    size = float(np.linalg.norm(np.ptp(points, axis=0))) / 70
     if not size > 0:
         raise DegenerateError("all points of the cloud coincide; is this the right file?")
     cells = len(build_surfels(points, size))

@@ -98,7 +98,7 @@ def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source:
 
 
 def choose_pose(
-    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 4, sample: int = 1200
+    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 3, sample: int = 1000
 ) -> VerifiedPose:
     """Refine the first ``tried`` of ``poses`` (K, 4, 4), take the best, and make sure that no rival is as good.
 
