@@ -91,9 +91,9 @@ def finite_points(cloud: Cloud, name: str) -> Floats:
     Raises:
         FileError: no finite point is left.
     """
-    finite = np.isfinite(cloud.points).all(axis=1)
-    if finite.all():
+    if np.isfinite(cloud.points).all():
         return cloud.points
+    finite = np.isfinite(cloud.points).all(axis=1)
     if not finite.any():
         raise FileError(f"{name}: all {len(cloud)} points hold NaN or infinity; scan again or export again")
     warnings.warn(
@@ -122,8 +122,9 @@ def check_unit(points: ArrayLike, name: str, unit: str) -> None:
 def extent(points: ArrayLike) -> Floats:
     """Size (3,) along x, y, z of the finite points among (N, 3); zeros where there are none."""
     points = np.asarray(points, dtype=float)
-    finite = points[np.isfinite(points).all(axis=1)]
-    return np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
+    if not np.isfinite(points).all():
+        points = points[np.isfinite(points).all(axis=1)]
+    return np.array([np.ptp(column) for column in points.T]) if len(points) else np.zeros(3)
 
 
 def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = None) -> None:
@@ -328,6 +329,8 @@ def _cloud_of_records(path: Path, file: BinaryIO, count: int, names: list[str], 
     def columns(wanted: tuple[str, ...]) -> Floats | None:
         if not set(wanted) <= set(names):
             return None
+        if tuple(names) == wanted and len(set(kinds)) == 1:
+            return rows.view(kinds[0]).reshape(count, 3).astype(float)
         table = np.empty((count, 3))
         for k, name in enumerate(wanted):
             table[:, k] = rows[fields[names.index(name)]]

@@ -91,8 +91,8 @@ def check_points(points: ArrayLike, name: str, least: int = 1) -> Floats:
         raise InputError(f"{name} have shape {array.shape}; expected (N, 3)")
     if len(array) < least:
         raise DegenerateError(f"{name}: {len(array)} points given, at least {least} needed")
-    bad = ~np.isfinite(array).all(axis=1)
-    if bad.any():
+    if not np.isfinite(array).all():
+        bad = ~np.isfinite(array).all(axis=1)
         raise InputError(f"{name}: {int(bad.sum())} of {len(array)} points hold NaN or infinity; drop them first")
     return array
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import build_cells, within_radius
+from grindvision.geometry.neighbours import bounds, build_cells, within_radius
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def guess_viewpoint(points: ArrayLike) -> Floats | None:
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         raise DegenerateError("an empty cloud has no viewpoint")
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = bounds(np.ascontiguousarray(points))
     gap = np.maximum(np.maximum(low, -high), 0)
     return np.zeros(3) if np.linalg.norm(gap) > 0.5 * np.linalg.norm(high - low) else None
 

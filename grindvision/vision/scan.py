@@ -48,11 +48,11 @@ class Scan:
 
 
 def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
-    """Cell sizes for a scan (N, 3): about one surfel per 20 points, 25,000 at least where the points allow it, and about
-    ``voxels`` coarse cells."""
+    """Cell sizes for a scan (N, 3): about 25,000 surfels where the points allow it, more, as the root of their number,
+    above half a million, and about ``voxels`` coarse cells."""
     points = np.asarray(points, dtype=float)
     area = surface_area(points)
-    surfels = min(max(len(points) / 20, 25_000), len(points) / 2)
+    surfels = min(25_000 * max(1.0, np.sqrt(len(points) / 500_000)), len(points) / 2)
     return Resolution(float(np.sqrt(area / len(points))), float(np.sqrt(area / surfels)), float(np.sqrt(area / voxels)))
 
 
