@@ -47,7 +47,7 @@ WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
 #: A groove is at least so many standard deviations of its points' scatter deep.
 LEAST_DEPTH_IN_SCATTER = 3.0
 #: The middle of the last station at an end holds at least this share of the usual number of points.
-COVERED_SHARE = 0.5
+COVERED_SHARE = 0.75
 #: The two ends of a ring point the same way within this angle.
 RING_TURN_RAD = np.radians(50)
 #: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
@@ -278,7 +278,7 @@ def _finished(
     members = np.sort(strip.index[inside & (strip.up > floor)])
     placed = curve.stations[:, None, :] + lines[:, :, None] * curve.across[:, None, :]
     core = between & (np.abs(strip.across - along(smooth[:, ROOT])) < width / 5)
-    first, last = _covered(strip.along[core], first, last, step)
+    first, last = _covered(strip.along[core], first, last, step, width)
     placed = (placed + heights[:, :, None] * curve.up[:, None, :])[first:last]
     normals = (curve.up - smooth[:, TILT, None] * curve.across)[first:last]
     T_cloud_field = inverse(T_field_cloud)
@@ -310,11 +310,20 @@ def _depth_centres(sections: Sections, theta: Floats) -> Floats:
     return (depth * sections.across).sum(axis=1) / np.maximum(depth.sum(axis=1), 1e-9)
 
 
-def _covered(along: Floats, first: int, last: int, step: float) -> tuple[int, int]:
-    """Cut stations off both ends where the middle of the groove already lies beyond the part."""
-    counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)[first:last]
-    full = np.flatnonzero(counts > COVERED_SHARE * np.median(counts))
-    return first + int(full[0]), first + int(full[-1]) + 1
+def _covered(along: Floats, first: int, last: int, step: float, width: float) -> tuple[int, int]:
+    """Cut stations off both ends where the middle of the groove already lies beyond the part.
+
+    A station there holds few points against those a little farther in; the density may well fall slowly along the seam.
+    """
+    # Stations can be finer than the rows of points; two of them together always hold about the same number.
+    counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)
+    pairs = counts[:-1] + counts[1:]
+    inward = max(int(width / step), 3)
+    while last - first > 2 * inward and pairs[first] < COVERED_SHARE * np.median(pairs[first + 1 : first + inward]):
+        first += 1
+    while last - first > 2 * inward and pairs[last - 2] < COVERED_SHARE * np.median(pairs[last - inward : last - 2]):
+        last -= 1
+    return first, last
 
 
 def _one_round(line: Floats, width: float) -> tuple[int, bool]:
