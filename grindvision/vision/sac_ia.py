@@ -2,8 +2,8 @@
 
 Two variants. ``sac_ia_paper`` does what the paper describes and, where the text is silent, what PCL does, with which
 the authors worked: three samples; a minimum distance that is silently halved when no sample keeps it; the
-correspondence drawn at random from the ``similar`` nearest histograms; Huber's error (Eq 6) of the **squared** distance,
-compared with a threshold that is a length. ``propose_poses`` is ours: pairs of oriented points whose distances and
+correspondence drawn at random from the ``similar`` nearest histograms; Huber's error (Eq 6) of the **squared**
+distance, compared with a threshold that is a length. ``propose_poses`` is ours: pairs of oriented points whose distances and
 angles agree, tested by hundred thousands before anything is computed, scored in batches, the best distinct ones kept;
 ``grindvision.vision.verification`` then decides among them.
 """
@@ -143,7 +143,7 @@ def propose_poses(
     Steps 1-3 of section 3.3 made cheap: a sample is two points with their normals, which fix a pose; it is dropped
     unless the two distances agree within two spacings, the angles between normals within 15 degrees, and those of each
     normal to the connecting line too. What is left is scored on a part of the correspondences, the best of it on all.
-    Batches of ``batch`` samples are drawn until the best pose has 1.5 times the votes of any other, ``batches`` at most.
+    Batches of ``batch`` samples are drawn until the best pose has 1.5 times any other's votes, ``batches`` at most.
 
     Raises:
         DegenerateError: too few keypoints, or no sample survives.
@@ -194,7 +194,7 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
 def distinct_poses(
     poses: Floats, scores: Floats, centre_mm: Floats, apart_mm: float, apart_rad: float, kept: int
 ) -> tuple[Floats, Floats]:
-    """The first ``kept`` of sorted poses that differ from all before them by ``apart_mm`` at a centre or ``apart_rad``."""
+    """The first ``kept`` of sorted poses, without those within ``apart_mm`` at a centre and ``apart_rad`` of one before."""
     spots = poses[:, :3, :3] @ centre_mm + poses[:, :3, 3]
     chosen: list[int] = []
     for at in range(len(poses)):

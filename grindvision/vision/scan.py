@@ -27,7 +27,8 @@ class Resolution:
     voxel_mm: float
 
     def __str__(self) -> str:
-        return f"points {self.spacing_mm:.3g} mm apart, surfels of {self.surfel_mm:.3g} mm, voxels of {self.voxel_mm:.3g} mm"
+        cells = f"surfels of {self.surfel_mm:.3g} mm, voxels of {self.voxel_mm:.3g} mm"
+        return f"points {self.spacing_mm:.3g} mm apart, {cells}"
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class Surfels:
 
 
 def build_surfels(points: ArrayLike, size_mm: float) -> Surfels:
-    """Gather points (N, 3) into cells of edge ``size_mm``; the plane of a cell is fitted over the 27 cells around it."""
+    """Gather points (N, 3) into cells of edge ``size_mm``; a cell's plane is fitted over the 27 cells around it."""
     points = np.ascontiguousarray(points, dtype=float)
     origin = cell_origin(points, size_mm)
     keys, sums, table_keys, table_cells = _gather(points, origin, 1.0 / size_mm)

@@ -1,7 +1,7 @@
 """Which of several poses is the right one, how sure that is, and which motion is free when it cannot be known.
 
-Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it agrees
-with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on purpose:
+Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it
+agrees with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on purpose:
 the other proposals, the turns of a box about the scan's own axes, and slides along the motions the surface resists
 least. A rival that fits as well as the best means that the scans do not determine the pose; the answer is refused.
 """
@@ -131,8 +131,9 @@ def choose_pose(
         or verdict.share < LEAST_AGREEMENT
     ):
         raise DegenerateError(
-            f"the two scans do not fit: at the best pose {verdict.overlap:.0%} overlap and {verdict.share:.0%} of that agrees within"
-            f" {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed); are they scans of the same part, from nearby views?"
+            f"the two scans do not fit: at the best pose {verdict.overlap:.0%} overlap and {verdict.share:.0%} of that"
+            f" agrees within {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed);"
+            " are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
     rivals = candidates[1:] + judge.turned(best, verdict)
@@ -145,8 +146,9 @@ def choose_pose(
     if margin < LEAST_MARGIN * covered:
         other = next(other for other, v in rivals if v is rival)
         raise DegenerateError(
-            f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as well"
-            f" ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows what breaks the symmetry"
+            f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as"
+            f" well ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows"
+            " what breaks the symmetry"
         )
     return VerifiedPose(best, verdict, rival, float(np.clip(margin / (SURE_MARGIN * covered), 0, 1)) * verdict.share)
 
