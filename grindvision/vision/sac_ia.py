@@ -3,9 +3,9 @@
 Two variants. ``sac_ia_paper`` does what the paper describes and, where the text is silent, what PCL does, with which
 the authors worked: three samples; a minimum distance that is silently halved when no sample keeps it; the
 correspondence drawn at random from the ``similar`` nearest histograms; Huber's error (Eq 6) of the **squared**
-distance, compared with a threshold that is a length. ``propose_poses`` is ours: pairs of oriented points whose distances and
-angles agree, tested by hundred thousands before anything is computed, scored in batches, the best distinct ones kept;
-``grindvision.vision.verification`` then decides among them.
+distance, compared with a threshold that is a length. ``propose_poses`` is ours: pairs of oriented points whose
+distances and angles agree, tested by hundred thousands before anything is computed, scored in batches, the best
+distinct ones kept; ``grindvision.vision.verification`` then decides among them.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
 def distinct_poses(
     poses: Floats, scores: Floats, centre_mm: Floats, apart_mm: float, apart_rad: float, kept: int
 ) -> tuple[Floats, Floats]:
-    """The first ``kept`` of sorted poses, without those within ``apart_mm`` at a centre and ``apart_rad`` of one before."""
+    """The first ``kept`` of sorted poses, less those within ``apart_mm`` (at a centre) and ``apart_rad`` of another."""
     spots = poses[:, :3, :3] @ centre_mm + poses[:, :3, 3]
     chosen: list[int] = []
     for at in range(len(poses)):
