@@ -3,7 +3,7 @@
 Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it
 agrees with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on
 purpose: the other proposals, the turns of a box about the scan's own axes, and slides along the motions the surface
-resists least. A rival that fits as well as the best means that the scans do not determine the pose; the answer is refused.
+resists least. A rival that fits as well as the best means that the scans do not determine the pose: refused.
 """
 
 from __future__ import annotations
