@@ -39,6 +39,9 @@ LEAST_OVERLAP = 0.2
 """Least share of the source that must lie over the target's surface; of a larger source, the share it could cover."""
 
 
+MOST_WORSE = 1.25
+"""A pose whose truncated squared residuals are less than so many times the best's fits as well."""
+
 LEAST_SCORE = 0.2
 """Least difference between the agreeing and the contradicting share of the source."""
 
@@ -83,18 +86,24 @@ class VerifiedPose:
         return f"{self.agreement}; confidence {self.confidence:.2f}"
 
 
+def _residuals(points: Floats, target: Surfels, T_target_source: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Distances (N,) of moved points along the target's normals, and the surfels met; -1 where none is shown."""
+    moved = move_points(T_target_source, points)
+    match, distances = nearest(target.grid, moved, 3 * target.grid.size_mm)
+    along = ((moved - target.points[match]) * target.normals[match]).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        beside = ~(distances**2 - along**2 < (1.5 * target.grid.size_mm) ** 2)
+    return along, np.where(beside, -1, match)
+
+
 def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float) -> Agreement:
     """Judge a pose on source points (N, 3) with normals (N, 3): agreement means a distance along the target's normal of
     at most ``within_mm`` and normals less than 45 degrees apart."""
-    indices, distances = nearest(target.grid, move_points(T_target_source, points), 3 * target.grid.size_mm)
-    found = indices >= 0
-    at = indices[found]
-    moved = move_points(T_target_source, points[found])
-    along = ((moved - target.points[at]) * target.normals[at]).sum(axis=1)
-    beside = np.sqrt(np.maximum(distances[found] ** 2 - along**2, 0)) > 1.5 * target.grid.size_mm
-    facing = (turn_vectors(T_target_source, normals[found]) * target.normals[at]).sum(axis=1) > 0.7
-    good = (np.abs(along) <= within_mm) & facing & ~beside
-    return Agreement(float(good.sum() / len(points)), float((~good & ~beside).sum() / len(points)))
+    along, match = _residuals(points, target, T_target_source)
+    shown = match >= 0
+    facing = (turn_vectors(T_target_source, normals) * target.normals[match]).sum(axis=1) > 0.7
+    good = shown & facing & (np.abs(along) <= within_mm)
+    return Agreement(float(good.mean()), float((shown & ~good).mean()))
 
 
 def choose_pose(
@@ -143,8 +152,8 @@ def choose_pose(
         default=Agreement(0.0, 0.0),
     )
     margin = verdict.score - max(rival.score, 0.0)
-    if margin < LEAST_MARGIN * covered:
-        other = next(other for other, v in rivals if v is rival)
+    other = next((other for other, v in rivals if v is rival), best)
+    if margin < LEAST_MARGIN * covered and judge.fits_as_well(other, best):
         raise DegenerateError(
             f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as"
             f" well ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows"
@@ -200,6 +209,21 @@ class _Judge:
         """Whether two poses are apart by more than 2 % of the extent or 3 degrees."""
         shift = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
         return bool(shift > 0.04 * self.extent or angle_between(pose, other) > np.radians(3))
+
+    def fits_as_well(self, other: FineRegistration, best: FineRegistration) -> bool:
+        """Whether another pose leaves residuals hardly larger than the best one's, on the points that both can judge.
+
+        Sharper than the agreement: the scale of the truncated squares is that of the best pose's own residuals.
+        """
+        (best_residual, best_match), (residual, match) = (
+            _residuals(self.points, self.target, pose.T_target_source) for pose in (best, other)
+        )
+        both = (best_match >= 0) & (match >= 0)
+        if both.sum() < 30:
+            return False
+        cut = 4 * 1.4826 * max(float(np.median(np.abs(best_residual[both]))), 1e-9)
+        costs = [np.minimum((one[both] / cut) ** 2, 1).mean() for one in (best_residual, residual)]
+        return bool(costs[1] < MOST_WORSE * costs[0])
 
     def turned(self, best: FineRegistration, verdict: Agreement) -> list[tuple[FineRegistration, Agreement]]:
         """The best few of the 23 turns of a box about the source's principal axes, refined."""
