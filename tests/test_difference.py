@@ -7,7 +7,7 @@ import pytest
 from grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, view
 from scipy.spatial import cKDTree
 
-from grindvision.errors import DegenerateError, InputError
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
 from grindvision.vision.bead_path import trace_bead
 from grindvision.vision.boxes import box_path, minimal_box
@@ -134,6 +134,14 @@ def test_a_branching_bead_is_refused_by_name():
     fork = pair(seed=8, n_points=90_000, beads=[Bead(np.vstack([stem, arm]))])
     with pytest.raises(DegenerateError, match="branches near"):
         detect(fork.sample, fork.test)
+
+
+def test_a_smaller_piece_that_branches_is_left_out_with_a_warning():
+    stem = np.column_stack([np.linspace(-80, -60, 900), np.full(900, -20.0)])
+    arm = np.column_stack([np.full(600, -70.0), np.linspace(-20, -6, 600)])
+    both = pair(seed=9, n_points=90_000, beads=[arc_bead(length_mm=45.0), Bead(np.vstack([stem, arm]), 3.0, 1.0)])
+    with pytest.warns(GrindvisionWarning, match="piece 2 of the difference is left out"):
+        assert len(detect(both.sample, both.test).beads) == 1
 
 
 def test_heights_are_signed_distances_from_the_surface(rng):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import DegenerateError, InputError
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
@@ -102,7 +103,7 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     clock.lap("icp")
     difference = find_difference(good, seen, registration)
     clock.lap("difference")
-    beads = tuple(trace_bead(cluster, options.points) for cluster in difference.clusters)
+    beads = _follow(difference, options.points)
     clock.lap("path")
     return Detection(good, seen, coarse, registration, difference, beads, clock.laps_s)
 
@@ -133,6 +134,19 @@ def refine(
     size = sample.surfels.grid.size_mm
     found = icp_planes(places, normals, sample.surfels, coarse.registration.T_target_source, 2 * size)
     return refine_bent(places, normals, sample.surfels, found)
+
+
+def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:
+    """Paths of all pieces; of those after the largest, one that cannot be followed is left out with a warning."""
+    beads = []
+    for rank, cluster in enumerate(difference.clusters):
+        try:
+            beads.append(trace_bead(cluster, points))
+        except DegenerateError as error:
+            if rank == 0:
+                raise
+            warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
+    return tuple(beads)
 
 
 class _Clock:

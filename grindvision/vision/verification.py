@@ -242,7 +242,7 @@ class _Judge:
         )
         rough = np.array(
             [
-                agreement(self.points[:400], self.normals[:400], self.target, pose, 6 * self.within_mm).agreeing
+                agreement(self.points[:300], self.normals[:300], self.coarse_target, pose, 6 * self.within_mm).agreeing
                 for pose in poses
             ]
         )
@@ -257,17 +257,17 @@ class _Judge:
         _, directions = np.linalg.eigh(best.information * np.outer(scale, scale))
         to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
         resisted_least = directions[:, :3]
-        free = []
-        for twist in resisted_least.T:
-            slid = self.refined(
-                back @ small_motion(0.12 * self.extent * twist * scale) @ to_centre @ best.T_target_source
-            )
-            free.append(
-                slid is not None
-                and self.differ(slid[0].T_target_source, best.T_target_source)
-                and slid[1].share > verdict.share - LEAST_MARGIN
-                and slid[1].overlap > 0.7 * verdict.overlap
-            )
+        slides = [small_motion(0.12 * self.extent * twist * scale) for twist in resisted_least.T]
+        with ThreadPoolExecutor(2) as pool:
+            slid = list(pool.map(self.refined, [back @ slide @ to_centre @ best.T_target_source for slide in slides]))
+        free = [
+            one is not None
+            and self.differ(one[0].T_target_source, best.T_target_source)
+            and one[1].share > verdict.share - LEAST_MARGIN
+            and one[1].overlap > 0.7 * verdict.overlap
+            and self.fits_as_well(one[0], best)
+            for one in slid
+        ]
         if any(free):
             names = _motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)
             raise DegenerateError(
