@@ -11,7 +11,7 @@ from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
 from grindvision.vision.bead_path import trace_bead
 from grindvision.vision.boxes import box_path, minimal_box
-from grindvision.vision.detect import DetectOptions, detect
+from grindvision.vision.detection import DetectOptions, detect
 from grindvision.vision.difference import Cluster, difference_paper, find_difference, heights_above
 from grindvision.vision.surfels import build_surfels
 

@@ -15,7 +15,7 @@ from grindvision.geometry import (
     small_motion,
 )
 from grindvision.vision.bending import refine_bent
-from grindvision.vision.detect import DetectOptions, detect
+from grindvision.vision.detection import DetectOptions, detect
 from grindvision.vision.icp import icp_generalised, icp_planes, icp_points
 from grindvision.vision.normals import orient_to_viewpoint
 from grindvision.vision.sac_ia import huber, most_similar, propose_poses, refine_pose, sac_ia_paper

@@ -34,7 +34,7 @@ from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors, vector_angle
 from grindvision.vision.bead_path import BeadPath, trace_bead
-from grindvision.vision.detect import propose, refine
+from grindvision.vision.detection import propose, refine
 from grindvision.vision.difference import find_difference
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Resolution, prepare_pair, prepare_scan

@@ -23,7 +23,7 @@ HEADLINES = (
     ("fig05", "largest error after accurate calibration"),
     ("hand-eye", "calibrated against true cell, mean"),
     ("calibration rank", "unknowns that can be known"),
-    ("table3", "path points to true ridge, mean"),
+    ("table3", "path points to true ridge, mean, undistorted scanner"),
     ("table3 print", "largest angle of printed normals off perpendicular to the path"),
     ("table4 print", "rms of one rigid motion between Tables 3 and 4"),
     ("fig09", "compound error of a path point"),

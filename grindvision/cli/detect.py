@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.vision.detect import Detection
+    from grindvision.vision.detection import Detection
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.report import Stopwatch, run_facts
     from grindvision.clouds import write_ply
     from grindvision.files import write_json, write_text
-    from grindvision.vision.detect import DetectOptions, detect
+    from grindvision.vision.detection import DetectOptions, detect
 
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     stopwatch = Stopwatch()
