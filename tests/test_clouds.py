@@ -62,7 +62,8 @@ def test_organised_pcd_keeps_its_grid(tmp_path, points):
 
 
 def test_compressed_pcd_is_read(tmp_path, points):
-    o3d = pytest.importorskip("open3d")
+    import open3d as o3d
+
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     o3d.io.write_point_cloud(str(tmp_path / "cloud.pcd"), cloud, compressed=True)
     np.testing.assert_allclose(read_cloud(tmp_path / "cloud.pcd").points, points, rtol=1e-6)

@@ -53,7 +53,8 @@ def test_fpfh_is_the_plain_twin_s(patch):
 
 
 def test_fpfh_is_open3d_s_on_the_same_neighbourhoods(patch):
-    o3d = pytest.importorskip("open3d")
+    import open3d as o3d
+
     points, normals = patch
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.normals = o3d.utility.Vector3dVector(normals)
