@@ -11,7 +11,7 @@ suppress_warnings = ["myst.xref_missing", "config.cache"]
 nb_execution_mode = "off"
 nb_ipywidgets_js = {}
 nb_render_markdown_format = "myst"
-myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_enable_extensions = ["amsmath", "dollarmath", "html_image"]
 myst_heading_anchors = 3
 
 html_theme = "sphinx_book_theme"
