@@ -17,8 +17,8 @@ def disagreements(rebuilt: Path, committed: Path) -> list[str]:
     """One line for everything in which two figure folders differ; empty when they agree.
 
     Numbers agree within 1e-3 of their size or 1e-3 absolute; columns ending in ``_s`` and answers in seconds are times
-    and are not compared; texts must be equal. A figure has svg, png and csv (and a gif
-    where it moves), a table csv and md.
+    and are not compared; texts must be equal. A figure has svg, png and csv (and a gif where it
+    moves), a table csv and md.
     """
     names = {folder: {path.name for path in folder.iterdir()} for folder in (rebuilt, committed)}
     found = [f"{name}: committed, but no chapter makes it" for name in sorted(names[committed] - names[rebuilt])]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.arm import MdhArm
+from grindvision.arm import MdhArm, forward
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, joint_slopes, moved_cell
 
@@ -210,7 +210,5 @@ def _known_covariances(cell: ScannerOnArm, measurements: Measurements) -> Floats
     known = np.broadcast_to(measurements.tracker_std_mm**2 * np.eye(3), (len(measurements), 3, 3))
     if measurements.scanner_covariance_mm2 is None:
         return known
-    from grindvision.arm import forward
-
     turn = (cell.T_tracker_base @ forward(cell.arm, measurements.q_rad) @ cell.T_joint_scanner)[:, :3, :3]
     return known + turn @ measurements.scanner_covariance_mm2 @ np.swapaxes(turn, 1, 2)

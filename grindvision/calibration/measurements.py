@@ -107,8 +107,7 @@ def read_measurements(path: str | Path, joints: int) -> Measurements:
 
     Raises:
         FileError: missing or damaged file, a column missing, text or NaN where a number belongs, a split that is
-        neither
-            train nor test; the message names row and column.
+            neither train nor test; the message names row and column.
     """
     angles = [f"q{i + 1}_rad" for i in range(joints)]
     seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
