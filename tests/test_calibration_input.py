@@ -157,6 +157,20 @@ def test_a_joint_that_counts_the_other_way(rng):
         calibrate(replace(measurements, q_rad=measurements.q_rad * [1, -1, 1, 1]), er3a())
 
 
+def test_a_joint_that_counts_the_other_way_where_the_fit_runs_away():
+    measurements = rig(er3a(), np.random.default_rng(2), test=12).measurements
+    with pytest.raises(InputError, match="q2_rad counts the other way"):
+        calibrate(replace(measurements, q_rad=measurements.q_rad * [1, -1, 1, 1]), er3a())
+
+
+@pytest.mark.parametrize(("column", "name"), [("scanner_mm", "sx_mm"), ("tracker_mm", "bx_mm")])
+@pytest.mark.parametrize("mirror", [np.diag([1.0, 1, -1]), np.eye(3)[[1, 0, 2]]])
+def test_a_left_handed_frame(column, name, mirror, rng):
+    measurements = rig(er3a(), rng).measurements
+    with pytest.raises(InputError, match=f"columns {name} to .* are mirrored"):
+        calibrate(replace(measurements, **{column: getattr(measurements, column) @ mirror.T}), er3a())
+
+
 def test_another_arm(rng):
     with pytest.raises(InputError, match="no arm of this structure fits"):
         calibrate(rig(er3a(), rng).measurements, ur5().first(4))

@@ -35,7 +35,7 @@ from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix,
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.starts import median_error
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
-from grindvision.errors import InputError
+from grindvision.errors import InputError, UnitError
 from grindvision.geometry import inverse
 
 Floats = NDArray[np.float64]
@@ -148,7 +148,10 @@ def calibrate(
     if options.variant == "paper":
         fit = _linear_step(coarse, unknowns, training, options.tolerance)
     else:
-        fit = _iterated(coarse, arm, unknowns, training, options)
+        try:
+            fit = _iterated(coarse, arm, unknowns, training, options)
+        except UnitError:  # an angle ran beyond a turn: nothing near the nominal arm fits, and ``check_fit`` says why
+            fit = _Fit(coarse, Spreads(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
     warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
     warnings += far_from_nominal(fit.cell.arm, arm)
     if not fit.converged:

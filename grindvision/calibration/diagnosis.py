@@ -1,4 +1,4 @@
-"""Bad measurements, found before and after the fit: wrong units, copies, one pose only, a shifted pairing."""
+"""Bad measurements, found before and after the fit: wrong units, copies, one pose only, shifted rows, mirrored axes."""
 
 from __future__ import annotations
 
@@ -188,6 +188,13 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
                 )
             )
     for column, name in (("scanner_mm", "s"), ("tracker_mm", "b")):
+        found.append(
+            (
+                f"columns {name}x_mm to {name}z_mm are mirrored (two swapped, or one with the wrong sign)",
+                InputError,
+                lambda m, column=column: replace(m, **{column: getattr(m, column) * [1.0, -1.0, 1.0]}),
+            )
+        )
         for axes in ([0], [1], [2], [0, 1, 2]):
             found.append(
                 (
