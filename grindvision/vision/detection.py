@@ -14,6 +14,7 @@ from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.difference import Difference, find_difference
+from grindvision.vision.doubts import check_same_unit, mirrored_refusal, missing_material
 from grindvision.vision.icp import FineRegistration, icp_planes
 from grindvision.vision.sac_ia import propose_poses
 from grindvision.vision.scan import Scan, prepare_pair, reversed_scan
@@ -82,9 +83,13 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     The stages: voxels and surfels, normals and FPFH, first alignment (SAC-IA), verification, ICP, difference, paths.
 
     Raises:
-        InputError: NaN points, or numbers that are no points. UnitError: sizes that look like metres.
+        InputError: NaN points, numbers that are no points, or a scan that fits as its mirror image only. UnitError: one
+            scan is many times larger than the other.
         DegenerateError: too few points; the scans do not fit, do not overlap enough, or leave a motion free; another
             part; a bead that branches.
+
+    Warns:
+        GrindvisionWarning: nothing stands out, but material is missing; a small piece that cannot be followed.
     """
     options = DetectOptions() if options is None else options
     if options.points < 1:
@@ -93,11 +98,19 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     sample = check_points(sample, "sample points", FEWEST_POINTS)
     test = check_points(test, "test points", FEWEST_POINTS)
     rng = np.random.default_rng(options.seed)
-    good, seen = prepare_pair(sample, test, (options.viewpoint_sample_mm, options.viewpoint_test_mm))
-    clock.lap("features")
-    seen, poses = propose(good, seen, rng)
-    clock.lap("coarse")
-    coarse = choose_pose(seen, good, poses, rng)
+    check_same_unit(sample, test)
+
+    def register(test: Floats, viewpoint_test_mm: ArrayLike | None) -> tuple[Scan, Scan, VerifiedPose]:
+        good, seen = prepare_pair(sample, test, (options.viewpoint_sample_mm, viewpoint_test_mm))
+        clock.lap("features")
+        seen, poses = propose(good, seen, rng)
+        clock.lap("coarse")
+        return good, seen, choose_pose(seen, good, poses, rng)
+
+    try:
+        good, seen, coarse = register(test, options.viewpoint_test_mm)
+    except DegenerateError as refusal:
+        raise mirrored_refusal(test, options.viewpoint_test_mm, register, refusal) from None
     clock.lap("verification")
     registration = refine(good, seen, coarse, rng)
     clock.lap("icp")
@@ -105,6 +118,8 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     clock.lap("difference")
     beads = _follow(difference, options.points)
     clock.lap("path")
+    if not beads and (missing := missing_material(good, seen, registration)):
+        warnings.warn(missing, GrindvisionWarning, stacklevel=2)
     return Detection(good, seen, coarse, registration, difference, beads, clock.laps_s)
 
 

@@ -72,7 +72,9 @@ def sac_ia_paper(
         refine: run the Levenberg-Marquardt refinement.
     """
     if len(source) < 3 or len(target) < similar:
-        raise DegenerateError(f"{len(source)} and {len(target)} keypoints are too few; take smaller voxels")
+        raise DegenerateError(
+            f"{len(source)} and {len(target)} keypoints are too few; scan more of the part, or more densely"
+        )
     d_min = (
         0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0))) if least_distance_mm is None else least_distance_mm
     )
@@ -149,7 +151,9 @@ def propose_poses(
         DegenerateError: too few keypoints, or no sample survives.
     """
     if len(source) < 20 or len(target) < 20:
-        raise DegenerateError(f"{len(source)} and {len(target)} keypoints are too few; take smaller voxels")
+        raise DegenerateError(
+            f"{len(source)} and {len(target)} keypoints are too few; scan more of the part, or more densely"
+        )
     chosen = _distinctive(source.features, queries, rng)
     t = most_similar(source.features[chosen], target.features, similar).ravel()
     s = np.repeat(chosen, similar)
@@ -173,7 +177,9 @@ def propose_poses(
         if len(best) and best[0] > max(0.1 * len(chosen), 1.5 * best[1:].sum()):
             break
     if len(poses) == 0:
-        raise DegenerateError("no two points of one scan fit any two of the other; are these scans of the same part?")
+        raise DegenerateError(
+            "no two points of one scan fit any two of the other: a flat or round part without features, or two parts?"
+        )
     return distinct_poses(poses, votes, centre, 0.03 * extent, np.radians(8), kept)
 
 

@@ -1,0 +1,48 @@
+"""Mistakes between two scans that the scans themselves give away: other units, a mirrored export, swapped roles."""
+
+import numpy as np
+import pytest
+from grinding_scene import arc_bead, pair
+
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, UnitError
+from grindvision.vision.detection import DetectOptions, detect
+
+
+@pytest.fixture(scope="module")
+def case():
+    return pair(seed=11, n_points=30_000, beads=[arc_bead()])
+
+
+@pytest.mark.parametrize("factor", [25.4, 10.0, 0.1])
+def test_one_scan_in_another_unit(case, factor):
+    with pytest.raises(UnitError, match="another unit"):
+        detect(case.sample, case.test * factor)
+
+
+@pytest.mark.parametrize("mirror", [np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1]), np.eye(3)[[1, 0, 2]]])
+@pytest.mark.parametrize("told", [False, True])
+def test_a_mirrored_scan_is_named(case, mirror, told):
+    options = DetectOptions(viewpoint_test_mm=np.zeros(3) if told else None)
+    with pytest.raises(InputError, match="mirror image"):
+        detect(case.sample, case.test @ mirror.T, options)
+
+
+def test_another_part_is_not_called_mirrored(case, rng):
+    plane = np.column_stack([rng.uniform(-60, 60, size=(20_000, 2)), rng.normal(scale=0.02, size=20_000) + 400])
+    with pytest.raises(DegenerateError):
+        detect(case.sample, plane)
+
+
+def test_swapped_scans_are_said_and_a_good_part_is_not(case):
+    with pytest.warns(GrindvisionWarning, match="SAMPLE and TEST were swapped"):
+        swapped = detect(case.test, case.sample)
+    assert swapped.beads == ()
+    same = pair(seed=12, n_points=30_000)
+    assert detect(same.sample, same.test).beads == ()
+
+
+def test_real_scans_of_one_part_raise_no_doubt(real_data):
+    from grindvision.clouds import read_cloud
+
+    scans = [read_cloud(real_data(name), "m").points for name in ("bun000.ply", "bun045.ply")]
+    assert detect(*scans).beads == () == detect(*scans[::-1]).beads
