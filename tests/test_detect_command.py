@@ -43,7 +43,7 @@ def test_two_files_become_a_path_in_both_frames(scene, tmp_path, capsys, rng):
     )
     code, text, _ = run(capsys, *words)
     assert code == 0
-    assert "1 bead" in text
+    assert "1 bead" in text and "scanner at (500, -600, 40) mm in the base frame" in text
     here, base = (np.genfromtxt(out / name, delimiter=",", names=True) for name in ("path.csv", "path_base.csv"))
     assert list(here.dtype.names) == ["point", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
     assert here["point"].tolist() == [1, 2, 3, 4, 5]
@@ -120,6 +120,7 @@ def test_bad_input_is_one_line_and_exit_code_2(scene, tmp_path, capsys, name):
         (json.dumps((2 * np.eye(4)).tolist()), "T_base_scanner"),
         (json.dumps(np.eye(3).tolist()), "4x4"),
         (json.dumps(inverse(rigid(None, (1, 2, 3))).T.tolist()), "transposed"),
+        (json.dumps(rigid(None, (0.5, -0.6, 0.04)).tolist()), "metres"),
     ],
 )
 def test_a_bad_pose_is_refused_before_any_work(scene, tmp_path, capsys, content, words):

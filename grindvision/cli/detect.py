@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 
     from grindvision.vision.detection import Detection
 
+#: No scanner stands so near to the origin of an arm's base, unless that is exactly its frame.
+LEAST_SHIFT_MM = 10.0
+
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
 
@@ -62,6 +65,8 @@ def run(options: argparse.Namespace) -> int:
 
     draw(found, folder / "report.png")
     write_json(folder / "report.json", _results(found) | facts)
+    if T_base_scanner is not None:
+        print(where_it_stood(T_base_scanner))
     print(f"{found}\nwritten: path.csv, difference.ply, report.json, report.png in {folder}")
     return 0
 
@@ -79,9 +84,11 @@ def read_pose(path: str | Path) -> np.ndarray:
     """T_base_scanner (4, 4) from a JSON file: the matrix alone, or an object with that key.
 
     Raises:
-        FileError: missing or no JSON. NotRigidError: no rigid transform.
+        FileError: missing or no JSON. NotRigidError: no rigid transform. UnitError: a shift in metres.
     """
-    from grindvision.errors import FileError
+    import numpy as np
+
+    from grindvision.errors import FileError, UnitError
     from grindvision.geometry import check_rigid
 
     try:
@@ -92,7 +99,20 @@ def read_pose(path: str | Path) -> np.ndarray:
         if "T_base_scanner" not in content:
             raise FileError(f"{path}: no key T_base_scanner; found {', '.join(content) or 'none'}")
         content = content["T_base_scanner"]
-    return check_rigid(content, f"{path}: T_base_scanner", tolerance=1e-3)
+    T_base_scanner = check_rigid(content, f"{path}: T_base_scanner", tolerance=1e-3)
+    shift_mm = float(np.linalg.norm(T_base_scanner[:3, 3]))
+    if 0 < shift_mm < LEAST_SHIFT_MM:
+        raise UnitError(f"{path}: T_base_scanner shifts by only {shift_mm:.3g}: metres? give millimetres")
+    return T_base_scanner
+
+
+def where_it_stood(T_base_scanner: np.ndarray) -> str:
+    """The scanner's pose (4, 4) in words, so that an inverse given by mistake can be seen."""
+    x, y, z, a, b, c = *T_base_scanner[:3, 3], *T_base_scanner[:3, 2]
+    return (
+        f"scanner at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base frame, its z axis along ({a:.2f}, {b:.2f}, {c:.2f}):"
+        " is that where it stood?"
+    )
 
 
 def _read_scans(options: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:

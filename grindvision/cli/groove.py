@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from grindvision.cli.detect import where_it_stood
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
     facts["timings_s"] = {**weld.timings_s, **facts["timings_s"]}
     draw(weld, cloud.points, folder / "report.png")
     write_json(folder / "report.json", results | facts)
+    if job is not None:
+        print(where_it_stood(job.T_base_scanner))
     print(f"{weld}\nwritten: {', '.join(written)} in {folder}")
     return 0
 
