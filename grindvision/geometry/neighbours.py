@@ -66,7 +66,7 @@ def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
     """
     points = np.ascontiguousarray(points, dtype=float)
     origin = cell_origin(points, size_mm)
-    cell_of_point, keys, table_keys, table_cells = _assign(points, origin, 1.0 / size_mm)
+    cell_of_point, keys, table_keys, table_cells = assign_cells(points, origin, 1.0 / size_mm)
     order, starts = _sorted_by_cell(cell_of_point, len(keys))
     return CellGrid(points, float(size_mm), origin, order, starts, table_keys, table_cells)
 
@@ -90,13 +90,13 @@ def cell_origin(points: Floats, size_mm: float) -> Floats:
 @njit(cache=True, nogil=True)
 def bounds(points):
     """Lowest and highest coordinates (3,), (3,) of points (N, 3)."""
-    low = points[0].copy()
-    high = points[0].copy()
-    for i in range(len(points)):
-        for k in range(3):
-            low[k] = min(low[k], points[i, k])
-            high[k] = max(high[k], points[i, k])
-    return low, high
+    x = x_low = points[0, 0]
+    y = y_low = points[0, 1]
+    z = z_low = points[0, 2]
+    for p in range(len(points)):
+        x_low, y_low, z_low = min(x_low, points[p, 0]), min(y_low, points[p, 1]), min(z_low, points[p, 2])
+        x, y, z = max(x, points[p, 0]), max(y, points[p, 1]), max(z, points[p, 2])
+    return np.array([x_low, y_low, z_low]), np.array([x, y, z])
 
 
 def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integers, Floats]:
@@ -160,37 +160,43 @@ def grown_table(keys, count, size):
 
 
 @njit(cache=True, nogil=True)
-def _assign(points, origin, per_mm):
+def assign_cells(points, origin, per_mm):
     """Cell number of each point, keys of the cells in order of first appearance, and the table."""
-    cell_of_point = np.empty(len(points), dtype=np.int64)
-    keys = np.empty(1024, dtype=np.int64)
-    table_keys, table_cells = grown_table(keys, 0, 4096)
-    count = 0
-    last_key, last_cell = _EMPTY, 0
-    for p in range(len(points)):
+    cell_of_point = np.empty(len(points), dtype=np.int32)
+    keys = np.empty(2048, dtype=np.int64)
+    table_keys, table_cells = grown_table(keys, 0, 2 * len(keys))
+    done = count = 0
+    while True:
+        done, count = _enter(points, done, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point)
+        if done == len(points):
+            return cell_of_point, keys[:count].copy(), table_keys, table_cells
+        more = np.empty(4 * len(keys), dtype=np.int64)
+        more[:count] = keys
+        keys = more
+        table_keys, table_cells = grown_table(keys, count, 2 * len(keys))
+
+
+@njit(cache=True, nogil=True)
+def _enter(points, first, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point):
+    """Number the cells of points from ``first`` on, while there is room for keys: where it stopped, and how many.
+
+    Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round.
+    """
+    for p in range(first, len(points)):
         i = int((points[p, 0] - origin[0]) * per_mm)
         j = int((points[p, 1] - origin[1]) * per_mm)
         k = int((points[p, 2] - origin[2]) * per_mm)
         key = cell_key(i, j, k)
-        if key != last_key:
-            slot = find_slot(table_keys, key)
-            if table_keys[slot] == _EMPTY:
-                if count == len(keys):
-                    bigger = np.empty(2 * len(keys), dtype=np.int64)
-                    bigger[:count] = keys
-                    keys = bigger
-                keys[count] = key
-                table_keys[slot] = key
-                table_cells[slot] = count
-                last_cell = count
-                count += 1
-                if 3 * count > table_keys.size:
-                    table_keys, table_cells = grown_table(keys, count, 4 * table_keys.size)
-            else:
-                last_cell = table_cells[slot]
-            last_key = key
-        cell_of_point[p] = last_cell
-    return cell_of_point, keys[:count].copy(), table_keys, table_cells
+        slot = find_slot(table_keys, key)
+        if table_keys[slot] == _EMPTY:
+            if count == len(keys):
+                return p, count
+            keys[count] = key
+            table_keys[slot] = key
+            table_cells[slot] = count
+            count += 1
+        cell_of_point[p] = table_cells[slot]
+    return len(points), count
 
 
 @njit(cache=True, nogil=True)

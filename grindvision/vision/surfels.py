@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import CellGrid, cell_key, cell_origin, find_slot, grown_table
+from grindvision.geometry.neighbours import CellGrid, assign_cells, cell_key, cell_origin, find_slot
 from grindvision.vision.normals import least_spread
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,8 @@ def build_surfels(points: ArrayLike, size_mm: float) -> Surfels:
     """Gather points (N, 3) into cells of edge ``size_mm``; a cell's plane is fitted over the 27 cells around it."""
     points = np.ascontiguousarray(points, dtype=float)
     origin = cell_origin(points, size_mm)
-    keys, sums, table_keys, table_cells = _gather(points, origin, 1.0 / size_mm)
+    cell_of_point, keys, table_keys, table_cells = assign_cells(points, origin, 1.0 / size_mm)
+    sums = _moments(points, cell_of_point, len(keys), origin, 1.0 / size_mm)
     means, normals, noise, roughness = _fit_planes(keys, sums, table_keys, table_cells, origin, float(size_mm))
     cells = np.arange(len(keys) + 1)
     grid = CellGrid(means, float(size_mm), origin, cells[:-1], cells, table_keys, table_cells)
@@ -75,37 +76,15 @@ def surface_area(points: ArrayLike) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _gather(points, origin, per_mm):
+def _moments(points, cell_of_point, cells, origin, per_mm):
     """Per cell: number, sum and second moments of its points about the cell's corner, in cells."""
-    keys, sums = np.empty(1024, dtype=np.int64), np.zeros((1024, 10))
-    table_keys, table_cells = grown_table(keys, 0, 4096)
-    count = 0
-    last_key, cell = np.int64(-1), 0
+    sums = np.zeros((cells, 10))
     for p in range(len(points)):
         x = (points[p, 0] - origin[0]) * per_mm
         y = (points[p, 1] - origin[1]) * per_mm
         z = (points[p, 2] - origin[2]) * per_mm
-        i, j, k = int(x), int(y), int(z)
-        x, y, z = x - i, y - j, z - k
-        key = cell_key(i, j, k)
-        if key != last_key:
-            slot = find_slot(table_keys, key)
-            if table_keys[slot] < 0:
-                if count == len(keys):
-                    more_keys, more_sums = np.empty(2 * count, dtype=np.int64), np.zeros((2 * count, 10))
-                    more_keys[:count], more_sums[:count] = keys, sums
-                    keys, sums = more_keys, more_sums
-                keys[count] = key
-                table_keys[slot] = key
-                table_cells[slot] = count
-                cell = count
-                count += 1
-                if 3 * count > table_keys.size:
-                    table_keys, table_cells = grown_table(keys, count, 4 * table_keys.size)
-            else:
-                cell = table_cells[slot]
-            last_key = key
-        row = sums[cell]
+        x, y, z = x - int(x), y - int(y), z - int(z)
+        row = sums[cell_of_point[p]]
         row[0] += 1
         row[1] += x
         row[2] += y
@@ -116,7 +95,7 @@ def _gather(points, origin, per_mm):
         row[7] += y * y
         row[8] += y * z
         row[9] += z * z
-    return keys[:count].copy(), sums[:count].copy(), table_keys, table_cells
+    return sums
 
 
 @njit(cache=True, nogil=True)
