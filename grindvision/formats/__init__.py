@@ -1,0 +1,5 @@
+"""Readers of cloud files, one module per family; ``grindvision.clouds.read_cloud`` is the door.
+
+A file is not trusted: sizes in its header are compared with its length before memory is taken, pickles are not loaded,
+and no other file that it names is opened.
+"""

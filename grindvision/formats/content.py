@@ -1,0 +1,41 @@
+"""What a cloud file says, its numbers as they stand in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+PCD_NORMAL = ("normal_x", "normal_y", "normal_z")
+
+
+@dataclass(frozen=True)
+class Content:
+    """Points (N, 3) and, where the file has them, normals (N, 3), in the file's own unit.
+
+    ``grid``: (rows, columns) of an organised cloud. ``unit``: ``mm`` or ``m`` where the file names it. ``note``: what
+    the reader had to decide, for the user to see.
+    """
+
+    points: Floats
+    normals: Floats | None = None
+    grid: tuple[int, int] | None = None
+    unit: str | None = None
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{len(self.points):,} points in {self.unit or 'an unnamed unit'}"
+
+
+def chosen_columns(names: Sequence[str]) -> tuple[list[int] | None, list[int] | None]:
+    """Where x y z and the three normal columns stand among a file's columns; None where one of them is missing."""
+    point, normal, other = (
+        [names.index(name) for name in wanted] if set(wanted) <= set(names) else None
+        for wanted in (POINT, NORMAL, PCD_NORMAL)
+    )
+    return point, normal or other

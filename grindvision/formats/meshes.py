@@ -1,0 +1,109 @@
+"""STL and OBJ meshes. Materials and textures that an OBJ names are not looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import FileError
+from grindvision.formats.content import Content
+from grindvision.formats.records import numbers
+
+Floats = NDArray[np.float64]
+
+STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+#: Vertices stand for the surface where edges longer than this share of the diagonal bound little of its area.
+LONG_EDGE, MOST_LONG = 0.02, 0.05
+#: Distance of samples, share of the diagonal, and how many there are at most.
+SAMPLE_STEP, MOST_SAMPLES = 1 / 700, 1_000_000
+
+
+def read_stl(path: Path) -> Content:
+    """Read an STL file, text or binary.
+
+    Raises:
+        FileError: no STL, or shorter than its header says.
+    """
+    data = path.read_bytes()
+    count = int(np.frombuffer(data[80:84].ljust(4, b"\0"), dtype="<u4")[0])
+    if data.lstrip().startswith(b"solid") and len(data) != 84 + 50 * count:
+        lines = [line.strip() for line in data.decode("latin-1").splitlines()]
+        corners = [line.removeprefix("vertex") for line in lines if line.startswith("vertex")]
+        if len(corners) % 3 or not any(line.startswith("endsolid") for line in lines[-3:]):
+            raise FileError(f"{path}: the STL text does not end with endsolid; it is cut short or damaged")
+        table = numbers(path, corners)
+        if table.shape[1] != 3:
+            raise FileError(f"{path}: a corner has {table.shape[1]} numbers instead of 3; export the mesh again")
+        return _surface(table.reshape(-1, 3, 3))
+    if len(data) < 84 + 50 * count:
+        raise FileError(
+            f"{path}: the header announces {count} triangles, the file holds {max(len(data) - 84, 0)} bytes;"
+            " it is cut short or damaged"
+        )
+    return _surface(np.frombuffer(data, STL_RECORD, count, 84)["corners"].astype(float))
+
+
+def read_obj(path: Path) -> Content:
+    """Read the vertices and faces of an OBJ file; polygons become fans of triangles.
+
+    Raises:
+        FileError: text among the numbers, or a face of vertices that are not there.
+    """
+    lines = path.read_bytes().decode("latin-1").splitlines()
+    rows = [" ".join(line.split()[1:4]) for line in lines if line.startswith(("v ", "v\t"))]
+    vertices = numbers(path, rows)
+    if vertices.shape[1] != 3:
+        raise FileError(f"{path}: a vertex has {vertices.shape[1]} numbers instead of 3; export the mesh again")
+    try:
+        faces = [
+            [int(word.split("/", 1)[0]) for word in line.split()[1:]]
+            for line in lines
+            if line.startswith(("f ", "f\t"))
+        ]
+    except ValueError as error:
+        raise FileError(f"{path}: a face is damaged ({error}); export the mesh again") from None
+    triangles = np.array([(face[0], *face[k : k + 2]) for face in faces for k in range(1, len(face) - 1)], dtype=int)
+    if len(triangles) == 0:
+        return Content(vertices)
+    at = np.where(triangles > 0, triangles - 1, triangles + len(vertices))
+    if at.min() < 0 or at.max() >= len(vertices) or (triangles == 0).any():
+        raise FileError(f"{path}: a face names a vertex that is not among the {len(vertices)}; the file is damaged")
+    return _surface(vertices[at], vertices)
+
+
+def _surface(triangles: Floats, vertices: Floats | None = None) -> Content:
+    """The vertices where they stand closely enough for the surface (T, 3, 3), else points sampled evenly on it."""
+    if vertices is None:
+        vertices = np.unique(triangles.reshape(-1, 3), axis=0)
+    triangles = triangles[np.isfinite(triangles).all(axis=(1, 2))]
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    areas = np.linalg.norm(normals, axis=1) / 2
+    if len(triangles) == 0 or not 0 < areas.sum() < np.inf:
+        return Content(vertices)
+    diagonal = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0)))
+    long = np.linalg.norm(edges, axis=2).max(axis=1) > LONG_EDGE * diagonal
+    if areas[long].sum() <= MOST_LONG * areas.sum():
+        return Content(vertices)
+    count = int(min(areas.sum() / (SAMPLE_STEP * diagonal) ** 2, MOST_SAMPLES))
+    ends = np.round(np.cumsum(areas) / areas.sum() * count).astype(int)
+    owner = np.repeat(np.arange(len(triangles)), np.diff(ends, prepend=0))
+    return Content(
+        _spread(triangles[owner]),
+        normals[owner] / (2 * areas[owner, None]),
+        note=f"a mesh of {len(triangles):,} triangles too large to stand for its surface by their corners;"
+        f" {len(owner):,} points were spread evenly over it",
+    )
+
+
+def _spread(triangles: Floats) -> Floats:
+    """One point in each of (N, 3, 3) triangles, by the additive sequence that fills a square most evenly."""
+    golden = 1.324717957244746
+    first, second = (np.arange(len(triangles))[:, None] * [1 / golden, 1 / golden**2] % 1.0).T
+    over = first + second > 1
+    first, second = np.where(over, 1 - first, first), np.where(over, 1 - second, second)
+    corner, one, other = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return corner + first[:, None] * (one - corner) + second[:, None] * (other - corner)

@@ -1,0 +1,128 @@
+"""What PLY and PCD share: a text header, then a table of numbers as text or as binary records of one size."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import FileError
+from grindvision.formats.content import Content, chosen_columns
+
+Floats = NDArray[np.float64]
+
+MOST_HEADER_LINES, LONGEST_HEADER_LINE = 1000, 10_000
+
+
+def header_lines(path: Path, file: BinaryIO, last: bytes) -> Iterator[list[str]]:
+    """Words of each header line up to and including the one that begins with ``last``.
+
+    Raises:
+        FileError: there is no such line.
+    """
+    for _ in range(MOST_HEADER_LINES):
+        line = file.readline(LONGEST_HEADER_LINE)
+        words = line.decode("latin-1").split()
+        if words:
+            yield words
+        if not line or line.startswith(last):
+            break
+    if not line.startswith(last):
+        raise FileError(f"{path}: the header has no {last.decode()} line; the file is cut short or damaged")
+
+
+def text_lines(path: Path, file: BinaryIO, count: int, columns: int) -> list[str]:
+    """The next ``count`` lines of a text table of so many ``columns``.
+
+    Raises:
+        FileError: the file is too short for what its header announces.
+    """
+    left = bytes_left(path, file)
+    if 2 * columns * count > left + 1:
+        raise too_short(path, count, f"the file holds {left} bytes")
+    text = file.read().decode("latin-1").splitlines()
+    lines = [line for line in text if line.strip()][:count]
+    if len(lines) < count:
+        raise too_short(path, count, f"the file holds {len(lines)}")
+    return lines
+
+
+def numbers(path: Path, lines: Sequence[str], separator: str | None = None) -> Floats:
+    """A table (rows, columns) from lines of numbers, parted by blanks or by ``separator``.
+
+    Raises:
+        FileError: no lines, text among the numbers, or rows of different length.
+    """
+    if not lines:
+        raise FileError(f"{path}: no points in the file; export the cloud again")
+    try:
+        return np.loadtxt(lines, ndmin=2, comments=None, delimiter=separator, quotechar='"')
+    except ValueError as error:
+        raise FileError(f"{path}: {_reason(error)}; mend the line or export the cloud again") from None
+
+
+def content_of_rows(path: Path, rows: Floats, names: Sequence[str]) -> Content:
+    """Points and normals among the named columns of a table.
+
+    Raises:
+        FileError: no x y z, or fewer columns than names.
+    """
+    point, normal = chosen_columns(names)
+    if rows.shape[1] < 3 or point is None:
+        raise FileError(f"{path}: points need x y z; found {rows.shape[1]} columns {' '.join(names)}")
+    if rows.shape[1] < len(names):
+        raise FileError(f"{path}: rows have {rows.shape[1]} columns, the header names {len(names)}; export it again")
+    picked = [None if at is None else np.ascontiguousarray(rows[:, at]) for at in (point, normal)]
+    return Content(picked[0], picked[1])
+
+
+def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[str], kinds: Sequence[str]) -> Content:
+    """Points and normals of ``count`` binary records; only the columns asked for are converted.
+
+    Raises:
+        FileError: no x y z, or the file is too short.
+    """
+    record = np.dtype([(f"{at}", kind) for at, kind in enumerate(kinds)])
+    left = bytes_left(path, file)
+    if count * record.itemsize > left:
+        raise too_short(path, count, f"of {record.itemsize} bytes, the file holds {left} bytes")
+    point, normal = chosen_columns(names)
+    if point is None:
+        raise FileError(f"{path}: points need x y z; found {' '.join(names)}")
+    rows = np.fromfile(file, dtype=record, count=count)
+    if point == [0, 1, 2] and len(names) == 3 and len(set(kinds)) == 1:
+        return Content(rows.view(kinds[0]).reshape(count, 3).astype(float))
+    return Content(*(None if at is None else _table(rows, at) for at in (point, normal)))
+
+
+def bytes_left(path: Path, file: BinaryIO) -> int:
+    """Bytes of the file behind the place that was read up to."""
+    return path.stat().st_size - file.tell()
+
+
+def too_short(path: Path, count: int, found: str) -> FileError:
+    """The error of a file whose header announces more than it holds."""
+    return FileError(f"{path}: the header announces {count} points, {found}; it is cut short or damaged")
+
+
+def _reason(error: ValueError) -> str:
+    """What NumPy could not read, rows counted from 1 below the header."""
+    text = " ".join(str(error).split())
+    word = re.search(r"could not convert string (.*) to float64 at row (\d+)", text)
+    if word:
+        return f"row {int(word[2]) + 1}: {word[1]} is no number"
+    width = re.search(r"number of columns changed from (\d+) to (\d+) at row (\d+)", text)
+    if width:
+        return f"row {width[3]} has {width[2]} columns, the rows before {width[1]}"
+    return f"not a table of numbers ({text})"
+
+
+def _table(rows: np.ndarray, columns: Sequence[int]) -> Floats:
+    table = np.empty((len(rows), len(columns)))
+    for k, at in enumerate(columns):
+        table[:, k] = rows[f"{at}"]
+    return table
