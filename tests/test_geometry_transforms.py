@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from grindvision import geometry
 from grindvision.errors import InputError, NotRigidError
@@ -114,3 +115,15 @@ def test_an_axis_without_direction_and_a_mean_of_nothing_are_refused():
         geometry.rotation_about([0, 0, 0], 1.0)
     with pytest.raises(InputError, match="mean needs transforms"):
         geometry.mean_rigid(np.empty((0, 4, 4)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-7, np.pi])
+def test_axis_and_angle_are_scipy_s(rng, angle):
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    turn = geometry.rotation_about(axis, angle)
+    np.testing.assert_allclose(turn, Rotation.from_rotvec(angle * axis).as_matrix(), atol=1e-15)
+    assert geometry.angle_between(np.eye(3), turn) == pytest.approx(angle, abs=1e-7)
+    if angle > 1e-7:
+        np.testing.assert_allclose(np.cross(geometry.rotation_axis(turn), axis), 0, atol=1e-7)
+        assert geometry.rotation_axis(turn) @ axis > 0 or angle == np.pi

@@ -16,7 +16,7 @@ from grindvision.geometry import (
 )
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.icp import icp_generalised, icp_planes, icp_points
+from grindvision.vision.icp import icp_generalised, icp_planes, icp_points, solve_definite
 from grindvision.vision.normals import orient_to_viewpoint
 from grindvision.vision.sac_ia import huber, most_similar, propose_poses, refine_pose, sac_ia_paper
 from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
@@ -256,3 +256,10 @@ def test_orientation_follows_the_viewpoint(rng):
     turned = orient_to_viewpoint(points, normals, (0, 0, 0))
     assert ((turned * -points).sum(axis=1) >= 0).all()
     np.testing.assert_allclose(np.abs(turned), np.abs(normals))
+
+
+def test_a_small_definite_system_is_solved_like_numpy_does(rng):
+    for _ in range(20):
+        factor, right = rng.normal(size=(6, 6)) * 10.0 ** rng.uniform(-3, 3, 6), rng.normal(size=6)
+        matrix = factor.T @ factor + 1e-9 * np.diag(np.square(factor).sum(axis=0))
+        np.testing.assert_allclose(matrix @ solve_definite(matrix, right), right, atol=1e-6)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from grindvision.errors import InputError, NotRigidError
 
@@ -47,7 +46,8 @@ def angle_between(rotation_a: ArrayLike, rotation_b: ArrayLike) -> float:
     """Angle in radians, 0..pi, of the rotation that leads from one rotation (3, 3) or transform (4, 4) to another."""
     a = np.asarray(rotation_a, dtype=float)[:3, :3]
     b = np.asarray(rotation_b, dtype=float)[:3, :3]
-    return float(Rotation.from_matrix(nearest_rotation(a.T @ b)).magnitude())
+    turn = nearest_rotation(a.T @ b)
+    return float(2 * np.arctan2(np.linalg.norm(turn - np.eye(3)), np.sqrt(8 * max(np.trace(turn) / 4 + 0.25, 0.0))))
 
 
 def vector_angle(a: ArrayLike, b: ArrayLike) -> Floats:
@@ -125,15 +125,31 @@ def rotation_about(axis: ArrayLike, angle_rad: float) -> Floats:
     length = np.linalg.norm(axis)
     if not length > 0:
         raise InputError("a rotation axis of length zero has no direction")
-    return Rotation.from_rotvec(axis / length * angle_rad).as_matrix()
+    return _rotation(axis / length * angle_rad)
 
 
 def small_motion(twist: ArrayLike) -> Floats:
     """Rigid transform (4, 4) of a twist (6,): shift in mm, then rotation vector in rad, not coupled."""
     twist = np.asarray(twist, dtype=float)
-    return rigid(Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3])
+    return rigid(_rotation(twist[3:]), twist[:3])
 
 
 def random_rotation(rng: np.random.Generator) -> Floats:
     """Rotation matrix (3, 3) drawn uniformly from all rotations."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.random(rng=rng).as_matrix()
+
+
+def rotation_axis(rotation: ArrayLike) -> Floats:
+    """Unit vector (3,) about which a rotation (3, 3) turns by an angle of 0..pi; any one for no rotation at all."""
+    turn = np.asarray(rotation, dtype=float)
+    axis = np.linalg.svd(turn - np.eye(3))[2][2]
+    sense = axis @ [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    return -axis if sense < 0 else axis
+
+
+def _rotation(vector: Floats) -> Floats:
+    """Rotation matrix (3, 3) about a vector (3,) by its length in radians (Rodrigues)."""
+    angle, across = np.linalg.norm(vector), skew(vector)
+    return np.eye(3) + np.sinc(angle / np.pi) * across + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * across @ across

@@ -16,13 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, turn_vectors
-from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest_one, within_radius
+from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest, nearest_one, within_radius
+from grindvision.vision.clusters import euclidean_clusters
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surfels import Surfels
@@ -92,6 +90,8 @@ NearestSearch = Callable[[Floats, Floats], Floats]
 
 def kd_tree_distances(cloud: Floats, queries: Floats) -> Floats:
     """SciPy's kd-tree as a ``NearestSearch``."""
+    from scipy.spatial import cKDTree
+
     return cKDTree(cloud).query(queries)[0]
 
 
@@ -196,9 +196,8 @@ def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: floa
     places = move_points(T_test_sample, sample.voxels.points)
     normals = sample.voxels.normals @ T_test_sample[:3, :3].T
     voxel = sample.voxels.grid.size_mm
-    distances, at = cKDTree(places).query(points, distance_upper_bound=8 * voxel)
-    found = np.isfinite(distances)
-    at[~found] = 0
+    at, distances = nearest(build_cells(places, 4 * voxel), points, 8 * voxel)
+    found = at >= 0
     along = ((points - places[at]) * normals[at]).sum(axis=1)
     beside = np.sqrt(np.maximum(distances**2 - along**2, 0, where=found, out=np.zeros(len(points))))
     seen = found & (beside < 1.2 * voxel) & (np.abs(along) > size)
@@ -249,10 +248,8 @@ def _clusters(
         return ()
     size = good.grid.size_mm
     places = test.surfels.points[chosen]
-    around = within_radius(build_cells(places, 2 * size), places, 2 * size)
-    rows = np.repeat(np.arange(len(chosen)), np.diff(around.starts))
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, around.indices)), shape=(len(chosen),) * 2)
-    number, labels = connected_components(graph, directed=False)
+    labels = euclidean_clusters(places, 2 * size)
+    number = int(labels.max()) + 1
     strong = np.bincount(labels, signed[chosen] > 2 * level[chosen], number)
     dense = np.bincount(labels, test.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
     usual = np.median(test.surfels.counts)
@@ -277,8 +274,8 @@ def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals
     heights, up, _ = heights_above(good, points, 2 * size)
     high = np.isnan(heights)
     if high.any():
-        _, at = cKDTree(test.surfels.points[members]).query(points[high])
-        owner = members[at]
+        places = test.surfels.points[members]
+        owner = members[nearest(build_cells(places, size), points[high], 4 * size)[0]]
         up[high] = normals[owner]
         heights[high] = signed[owner] + ((points[high] - test.surfels.points[owner]) * normals[owner]).sum(axis=1)
     standing = heights > 0

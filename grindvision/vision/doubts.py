@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 from grindvision.geometry import inverse, move_points
+from grindvision.geometry.neighbours import bounds
 from grindvision.vision.difference import find_difference
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan
@@ -27,7 +27,7 @@ def check_same_unit(sample: Floats, test: Floats) -> None:
     Raises:
         UnitError: the diagonals differ by more than ``MOST_TIMES_LARGER``.
     """
-    sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in (sample, test)]
+    sizes = [float(np.linalg.norm(np.subtract(*bounds(points)))) for points in (sample, test)]
     if max(sizes) > MOST_TIMES_LARGER * min(sizes) > 0:
         raise UnitError(
             f"the sample is {sizes[0]:.4g} mm across, the test {sizes[1]:.4g} mm: one of the files has another unit, or"
@@ -63,7 +63,7 @@ def missing_material(sample: Scan, test: Scan, registration: FineRegistration) -
     Empty where nothing does. ``registration`` is T_sample_test.
     """
     back = inverse(registration.T_target_source)
-    turn = block_diag(back[:3, :3], back[:3, :3])
+    turn = np.kron(np.eye(2), back[:3, :3])
     backwards = replace(
         registration,
         T_target_source=back,

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, check_rigid, fit_rigid, move_points, nearest_rotation, rigid, skew
@@ -70,6 +69,8 @@ def icp_points(
     Raises:
         DegenerateError: fewer than three pairs are left.
     """
+    from scipy.spatial import cKDTree
+
     source, target = check_points(source, "source points", 3), check_points(target, "target points", 3)
     transform = np.eye(4) if T_start is None else check_rigid(T_start, "T_start")
     if not 0 < keep <= 1:
@@ -213,6 +214,24 @@ def _result(
 
 
 @njit(cache=True, nogil=True)
+def solve_definite(matrix, right):
+    """Solution (n,) of a small symmetric positive definite system (n, n), by elimination without pivots."""
+    rows, solution = matrix.copy(), right.copy()
+    count = len(right)
+    for a in range(count):
+        for b in range(a + 1, count):
+            share = rows[b, a] / rows[a, a]
+            for c in range(a, count):
+                rows[b, c] -= share * rows[a, c]
+            solution[b] -= share * solution[a]
+    for a in range(count - 1, -1, -1):
+        for c in range(a + 1, count):
+            solution[a] -= rows[a, c] * solution[c]
+        solution[a] /= rows[a, a]
+    return solution
+
+
+@njit(cache=True, nogil=True)
 def _plane_icp(
     source, normals, transform, most, beside, least_scale, iterations,
     target_normals, points, order, starts, table_keys, table_cells, origin, per_mm,
@@ -304,7 +323,7 @@ def _plane_icp(
         for a in range(3):
             damped[a, a] += 1e-6 * total
             damped[3 + a, 3 + a] += 1e-6 * total * extent
-        step = np.linalg.solve(damped, right)
+        step = solve_definite(damped, right)
         turn = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
         spin = np.eye(3)
         if turn > 0:

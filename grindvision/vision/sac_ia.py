@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import fit_rigid, move_points, rigid, small_motion
@@ -71,6 +69,8 @@ def sac_ia_paper(
         similar: the correspondence is drawn from so many points of most similar histograms.
         refine: run the Levenberg-Marquardt refinement.
     """
+    from scipy.spatial import cKDTree
+
     if len(source) < 3 or len(target) < similar:
         raise DegenerateError(
             f"{len(source)} and {len(target)} keypoints are too few; scan more of the part, or more densely"
@@ -114,6 +114,9 @@ def refine_pose(source: ArrayLike, target: ArrayLike, T_start: ArrayLike, thresh
 
     Step and Jacobian are taken by finite differences of the distances themselves (Fitzgibbon 2003).
     """
+    from scipy.optimize import least_squares
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(target)
     centre = move_points(T_start, source).mean(axis=0)
     to_centre, back = rigid(None, -centre), rigid(None, centre)

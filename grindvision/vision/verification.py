@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import angle_between, inverse, move_points, rigid, small_motion, turn_vectors
+from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_axis, small_motion, turn_vectors
 from grindvision.geometry.neighbours import nearest
 from grindvision.vision.icp import FineRegistration, icp_planes
 from grindvision.vision.sac_ia import distinct_poses
@@ -44,6 +44,14 @@ MOST_WORSE = 1.25
 
 LEAST_SCORE = 0.2
 """Least difference between the agreeing and the contradicting share of the source."""
+
+BOX_TURNS = tuple(
+    turn
+    for axes in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.eye(3)[list(axes)] * signs) > 0 and np.trace(turn) < 3
+)
+"""The 23 rotations (3, 3) that bring a box back to its axes, but for none at all."""
 
 
 @dataclass(frozen=True)
@@ -229,15 +237,13 @@ class _Judge:
         """The best few of the 23 turns of a box about the source's principal axes, refined."""
         _, axes = np.linalg.eigh(np.cov(self.points.T))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
-        turns = Rotation.create_group("O").as_matrix()[1:]
         poses = np.stack(
             [
                 best.T_target_source
                 @ rigid(None, self.centre)
                 @ rigid(axes @ turn @ axes.T)
                 @ rigid(None, -self.centre)
-                for turn in turns
-                if np.trace(turn) < 2.9
+                for turn in BOX_TURNS
             ]
         )
         rough = np.array(
@@ -282,7 +288,7 @@ class _Judge:
         centre = move_points(reference, self.centre)
         shift = move_points(motion, centre) - centre
         if angle * self.extent > 0.3 * np.linalg.norm(shift):
-            axis = Rotation.from_matrix(motion[:3, :3]).as_rotvec() / angle
+            axis = rotation_axis(motion[:3, :3])
             pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ shift
             x, y, z, a, b, c = *axis, *pivot
             return (
