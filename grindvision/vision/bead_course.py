@@ -50,7 +50,9 @@ def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
         return _axis(nodes, total), False, max(float(np.sqrt(area) / 1.5), 1.5 * size)
     bands = np.minimum((walked / max(1.2 * width, 2 * size)).astype(np.int64), 10_000)
     curve, closed = _ordered(around, nodes, total, bands, 2.2 * size)
-    return curve, closed, max(width / 2, 1.5 * size) if closed else width
+    if closed:
+        return _counterclockwise(curve, cluster.normals.mean(axis=0)), True, max(width / 2, 1.5 * size)
+    return curve, False, width
 
 
 def walking_distances(around: Neighbourhoods, start: int) -> Floats:
@@ -135,6 +137,13 @@ def _prune(links: list[set[int]], amounts: Integers) -> None:
             return
         stub = min(stubs, key=lambda at: (amounts[at], at))
         links[links[stub].pop()].discard(stub)
+
+
+def _counterclockwise(places: Floats, normal: Floats) -> Floats:
+    """Places (M, 3) of a closed curve, from the same first one, in the sense that turns about ``normal`` (3,)."""
+    spokes = places - places.mean(axis=0)
+    turns = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal
+    return places if turns > 0 else np.roll(places[::-1], 1, axis=0)
 
 
 def _directed(places: Floats) -> Floats:
