@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +18,10 @@ from grindvision.errors import FileError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+#: Units a column's name may end in besides ours: the other's name and what one of it is in ours.
+UNITS = {"rad": ("deg", math.pi / 180), "mm": ("m", 1000.0)}
+LARGEST_JSON = 1_000_000
 
 
 @contextmanager
@@ -79,41 +86,122 @@ def sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def read_table(path: str | Path, numbers: Sequence[str], texts: Sequence[str] = ()) -> pd.DataFrame:
+def read_table(
+    path: str | Path, numbers: Sequence[str], texts: Sequence[str] = (), columns: Mapping[str, str] | None = None
+) -> pd.DataFrame:
     """Read a CSV whose named columns must be there, and whose ``numbers`` columns must be finite floats.
 
-    Further columns are kept as they are.
+    Commas, semicolons or tabs part the columns. A column ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or
+    ``x_m``; it is converted. Further columns are kept as they are.
+
+    Args:
+        path: file.
+        numbers: names of the columns of numbers.
+        texts: names of the columns of text.
+        columns: our name (unit included) of columns that the file calls otherwise; names joined by ``+`` are added.
 
     Raises:
-        FileError: the file is missing, is no CSV, lacks a column, has no row, or holds text or NaN where a number
-            belongs; the message names file, row and column.
+        FileError: the file is missing, is no CSV, lacks a column or has it twice, has no row, or holds text or NaN
+            where a number belongs; the message names file, row and column.
     """
-    import pandas as pd
+    path = Path(path)
+    table = _text_table(path)
+    for ours, theirs in (columns or {}).items():
+        parts = [theirs] if theirs in table.columns else [part.strip() for part in theirs.split("+")]
+        missing = [part for part in parts if part not in table.columns]
+        if missing:
+            raise FileError(f"{path}: column {missing[0]} missing; found {_listed(table.columns)}")
+        table[ours] = table[parts[0]] if len(parts) == 1 else sum(_floats(path, table, part) for part in parts)
+    missing = []
+    for name in (*texts, *numbers):
+        stem, _, unit = name.rpartition("_")
+        other, factor = UNITS.get(unit, ("", 1.0))
+        if name not in table.columns and name in numbers and f"{stem}_{other}" in table.columns:
+            table[name] = _floats(path, table, f"{stem}_{other}") * factor
+        elif name not in table.columns:
+            missing.append(name)
+        elif name in numbers:
+            table[name] = _floats(path, table, name)
+    if missing:
+        units = " (_deg and _m at a name's end are converted)" if missing[0].endswith(tuple(UNITS)) else ""
+        raise FileError(
+            f"{path}: column {', '.join(missing)} missing; found {_listed(table.columns)}{units}; rename the columns"
+        )
+    return table
 
+
+def column_names(path: str | Path) -> list[str]:
+    """Names of a CSV's columns.
+
+    Raises:
+        FileError: the file is missing or is no CSV.
+    """
+    return list(_text_table(Path(path)).columns)
+
+
+def read_json(path: str | Path) -> Any:
+    """Content of a JSON file.
+
+    Raises:
+        FileError: missing, too large to be meant, or no JSON.
+    """
     path = Path(path)
     try:
-        table = pd.read_csv(path, encoding="utf-8")
+        if path.stat().st_size > LARGEST_JSON:
+            raise FileError(f"{path}: {path.stat().st_size} bytes; a JSON file of this kind is small, check the path")
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path}: not a readable JSON file ({' '.join(str(error).split())}); write it again") from None
+
+
+def _text_table(path: Path) -> pd.DataFrame:
+    """A CSV as it stands, numbers where a whole column holds nothing else."""
+    import pandas as pd
+
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            head = next((line for line in file if line.strip() and not line.startswith("#")), "")
+        separator = max(",;\t", key=head.count)
+        names = [name.strip() for name in next(csv.reader([head], delimiter=separator, skipinitialspace=True), [])]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                path, sep=separator, encoding="utf-8-sig", skipinitialspace=True, index_col=False, comment="#"
+            )
     except FileNotFoundError:
         raise FileError(f"{path}: no such file; check the path") from None
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())})") from None
+    except pd.errors.ParserWarning:
+        raise FileError(f"{path}: rows have more columns than the first line names; mend the file") from None
+    except (OSError, ValueError, csv.Error, MemoryError) as error:
+        raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())[:200]})") from None
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise FileError(f"{path}: column {twice[0]} stands in the first line {names.count(twice[0])} times; mend it")
     table.columns = [str(column).strip() for column in table.columns]
-    missing = [column for column in (*texts, *numbers) if column not in table.columns]
-    if missing:
-        raise FileError(f"{path}: column {', '.join(missing)} missing; found {', '.join(table.columns)}")
     if table.empty:
         raise FileError(f"{path}: the table has no rows")
-    for column in numbers:
-        values = pd.to_numeric(table[column], errors="coerce").astype(float)
-        bad = ~values.abs().lt(float("inf"))
-        if bad.any():
-            row = int(bad.to_numpy().argmax())
-            raise FileError(
-                f"{path}: row {row + 1}, column {column}: {table[column].iloc[row]!r} is not a finite number;"
-                " mend the file"
-            )
-        table[column] = values
     return table
+
+
+def _floats(path: Path, table: pd.DataFrame, column: str) -> pd.Series:
+    import pandas as pd
+
+    values = pd.to_numeric(table[column], errors="coerce").astype(float)
+    bad = ~values.abs().lt(float("inf"))
+    if bad.any():
+        row = int(bad.to_numpy().argmax())
+        raise FileError(
+            f"{path}: row {row + 1}, column {column}: {str(table[column].iloc[row])[:40]!r} is not a finite number;"
+            " mend the file"
+        )
+    return values
+
+
+def _listed(names: Iterable[str], most: int = 16) -> str:
+    names = list(names)
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _plain(value: Any) -> Any:

@@ -275,3 +275,31 @@ def test_covariance_columns_are_read(folder):
     table.to_csv(folder / "m.csv", index=False)
     covariance = read_measurements(folder / "m.csv", 4).scanner_covariance_mm2
     assert covariance[5].tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
+
+
+def test_a_tracked_arm_needs_neither_labels_nor_scanner_columns(tmp_path, rng):
+    made = rig(er3a(), rng, rows=80, on_tool=True, off_mm=0, off_rad=0)
+    table = as_table(made.measurements, split=False).drop(columns=["pose", "sphere", "sx_mm", "sy_mm", "sz_mm"])
+    for i in range(1, 5):
+        table[f"joint {i}"] = np.degrees(table.pop(f"q{i}_rad"))
+    table["half"] = table["bx_mm"] / 2
+    table["other half"] = table.pop("bx_mm") / 2
+    table.to_csv(tmp_path / "m.csv", index=False)
+    columns = {f"q{i}_deg": f"joint {i}" for i in range(1, 5)} | {"bx_mm": "half+other half"}
+    found = read_measurements(tmp_path / "m.csv", 4, columns)
+    assert found.on_tool and read_measurements(tmp_path / "m.csv", columns=columns).q_rad.shape == (80, 4)
+    np.testing.assert_allclose(found.q_rad, made.measurements.q_rad, atol=1e-12)
+    np.testing.assert_allclose(found.tracker_mm, made.measurements.tracker_mm, atol=1e-9)
+    with pytest.raises(InputError, match="'q1' is no column of a measurement table"):
+        read_measurements(tmp_path / "m.csv", 4, {"q1": "joint 1"})
+
+
+def test_rows_drawn_to_train_keep_poses_together(rng):
+    measurements = rig(er3a(), rng, rows=60).measurements
+    pose = np.repeat(np.arange(20), 3).astype(str)
+    drawn = replace(measurements, pose=pose).drawn(31, np.random.default_rng(4))
+    assert drawn.train.sum() == 33
+    assert (drawn.train.reshape(20, 3) == drawn.train.reshape(20, 3)[:, :1]).all()
+    assert replace(measurements, pose=None).drawn(31, rng).train.sum() == 31
+    with pytest.raises(InputError, match="choose 1 to 59"):
+        measurements.drawn(60, rng)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grindvision.errors import FileError
-from grindvision.files import read_table, sha256, write_json, write_text, write_whole
+from grindvision.files import read_json, read_table, sha256, write_json, write_text, write_whole
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path):
@@ -68,3 +68,37 @@ def test_a_missing_table_and_a_binary_one_are_named(tmp_path):
     (tmp_path / "binary.csv").write_bytes(bytes(range(256)))
     with pytest.raises(FileError):
         read_table(tmp_path / "binary.csv", ["x_mm"])
+
+
+def test_columns_are_found_by_name_and_converted_by_unit(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text('\ufeff# exported\n"q1_deg", "x_m" , "own y"\n180, 0.5, 3\n"90",1, 4\n')
+    table = read_table(path, ["q1_rad", "x_mm", "y_mm"], columns={"y_mm": "own y"})
+    assert table["q1_rad"].tolist() == pytest.approx([np.pi, np.pi / 2])
+    assert table["x_mm"].tolist() == [500, 1000]
+    assert table["y_mm"].tolist() == [3, 4]
+    assert read_table(path, ["z_mm"], columns={"z_mm": "x_m + own y"})["z_mm"].tolist() == [3.5, 5]
+    with pytest.raises(FileError, match="column far missing; found q1_deg, x_m, own y"):
+        read_table(path, ["z_mm"], columns={"z_mm": "far"})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("x_mm,y\n1,2,3\n", "more columns than the first line names"),
+        ("x_mm,x_mm\n1,2\n", "column x_mm stands in the first line 2 times"),
+        ("x_deg,y\n1,2\n", "column x_mm missing"),
+        ('x_mm\n"1,5"\n', "'1,5' is not a finite number"),
+    ],
+)
+def test_a_table_that_would_be_misread_is_refused(tmp_path, content, message):
+    (tmp_path / "table.csv").write_text(content)
+    with pytest.raises(FileError, match=message):
+        read_table(tmp_path / "table.csv", ["x_mm"])
+
+
+@pytest.mark.parametrize("content", ["", "{", "[" * 100_000, "\x00", " " * 1_000_001])
+def test_json_that_is_none_is_refused(tmp_path, content):
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(FileError, match="JSON"):
+        read_json(tmp_path / "a.json")

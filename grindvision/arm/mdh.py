@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 #: The five parameters of a joint, in the order of every parameter vector, table and Jacobian.
 PARAMETERS = ("alpha_rad", "a_mm", "d_mm", "theta_rad", "beta_rad")
 
+#: Lengths of all links of an arm that is made: outside, the table is in another unit.
+SHORTEST_MM, LONGEST_MM = 20.0, 50_000.0
+
 
 @dataclass(frozen=True)
 class MdhArm:
@@ -74,14 +77,23 @@ class MdhArm:
 def read_arm(path: str | Path) -> MdhArm:
     """Read a robot CSV: ``joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad``, one row per joint from the base.
 
+    Angles may be given in degrees (``alpha_deg``) and lengths in metres (``a_m``).
+
     Raises:
-        FileError: missing, damaged, a column missing, text where a number belongs. UnitError: angles in degrees.
+        FileError: missing, damaged, a column missing, text where a number belongs. UnitError: degrees among radians,
+            or metres among millimetres.
     """
     table = read_table(path, PARAMETERS, texts=("joint",))
     try:
-        return MdhArm(table[list(PARAMETERS)].to_numpy(dtype=float), tuple(str(name) for name in table["joint"]))
+        arm = MdhArm(table[list(PARAMETERS)].to_numpy(dtype=float), tuple(str(name) for name in table["joint"]))
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from None
+    reach = float(np.abs(arm.table[:, 1:3]).sum())
+    if not SHORTEST_MM < reach < LONGEST_MM:
+        raise UnitError(
+            f"{path}: the links add up to {reach:.4g} mm, which is no arm; give a and d in mm, or name them a_m and d_m"
+        )
+    return arm
 
 
 def write_arm(arm: MdhArm, path: str | Path) -> None:

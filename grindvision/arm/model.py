@@ -1,14 +1,11 @@
-"""The arm as a Pinocchio model, from an MDH table or from a URDF file; lengths in millimetres for MDH arms."""
+"""The arm of an MDH table as a Pinocchio model, and models of URDF files in millimetres."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from grindvision.arm.mdh import MdhArm
-from grindvision.errors import FileError
 
 
 def pinocchio_model(arm: MdhArm) -> pin.Model:
@@ -26,21 +23,6 @@ def pinocchio_model(arm: MdhArm) -> pin.Model:
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, name)
         model.addJointFrame(parent)
     return model
-
-
-def urdf_model(path: str | Path) -> pin.Model:
-    """Pinocchio model of a URDF file; lengths in metres, as URDF has them.
-
-    Raises:
-        FileError: the file is missing or is no URDF.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileError(f"{path}: no such file; give the path of a URDF robot description")
-    try:
-        return pin.buildModelFromUrdf(str(path))
-    except (ValueError, RuntimeError) as error:
-        raise FileError(f"{path}: not a readable URDF ({' '.join(str(error).split())[:200]})") from None
 
 
 def in_millimetres(model: pin.Model) -> pin.Model:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,13 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import FileError, InputError
-from grindvision.files import read_table
+from grindvision.files import column_names, read_table
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Optional columns of a measurement file: the covariance of the sphere's centre in the scanner's frame.
 COVARIANCE_COLUMNS = ("sxx_mm2", "sxy_mm2", "sxz_mm2", "syy_mm2", "syz_mm2", "szz_mm2")
+
+JOINT = re.compile(r"q(\d+)_(?:rad|deg)")
+KNOWN = re.compile(rf"{JOINT.pattern}|[sb][xyz]_m?m|pose|sphere|split|" + "|".join(COVARIANCE_COLUMNS))
+KNOWN_WORDS = "q1_rad or q1_deg ..., sx_mm .. sz_mm, bx_mm .. bz_mm (or _m), pose, sphere, split"
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,27 @@ class Measurements:
             scanner_covariance_mm2=None if covariance is None else covariance[chosen],
         )
 
+    def drawn(self, count: int, rng: np.random.Generator) -> Measurements:
+        """Return the same rows with ``count`` of them, drawn at random, to train and the others to test.
+
+        Rows of one pose stay together, so it may be a few more.
+
+        Raises:
+            InputError: fewer than one row, or none left to test.
+        """
+        if not 0 < count < len(self):
+            raise InputError(f"{count} of {len(self)} measurements to train; choose 1 to {len(self) - 1}")
+        poses, which = np.unique(self.pose, return_inverse=True)
+        order = rng.permutation(len(poses))
+        rank = np.empty(len(poses), dtype=int)
+        rank[order] = np.arange(len(poses))
+        needed = int(np.searchsorted(np.cumsum(np.bincount(which)[order]), count)) + 1
+        if needed == len(poses):
+            raise InputError(
+                f"{count} training rows take all {len(poses)} poses; ask for fewer, or name the poses apart"
+            )
+        return replace(self, train=rank[which] < needed)
+
     def label(self, row: int) -> str:
         """Name a row as a person would look it up."""
         return f"row {row + 1} (pose {self.pose[row]}, sphere {self.sphere[row]})"
@@ -100,43 +126,60 @@ class Measurements:
         )
 
 
-def read_measurements(path: str | Path, joints: int) -> Measurements:
+def read_measurements(
+    path: str | Path, joints: int | None = None, columns: Mapping[str, str] | None = None
+) -> Measurements:
     """Read ``pose,sphere,q1_rad..qN_rad,sx_mm..sz_mm,bx_mm..bz_mm[,split]`` for an arm of ``joints`` joints.
 
-    Six further columns ``COVARIANCE_COLUMNS`` are used where present. Without ``split`` every row is a training row.
+    Angles may be given in degrees (``q1_deg``), lengths in metres (``bx_m``). Where no ``s`` column stands, the
+    tracker's reflector sits on the tool. ``pose`` and ``sphere`` default to the row's number. Six further columns
+    ``COVARIANCE_COLUMNS`` are used where present. Without ``split`` every row is a training row.
+
+    Args:
+        path: file.
+        joints: of the arm; left out: as many as the file has.
+        columns: our name of columns that the file calls otherwise, see ``read_table``.
 
     Raises:
         FileError: missing or damaged file, a column missing, text or NaN where a number belongs, a split that is
             neither train nor test; the message names row and column.
     """
-    angles = [f"q{i + 1}_rad" for i in range(joints)]
-    seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
-    table = read_table(path, (*seen, *measured), texts=("pose", "sphere"))
-    columns = sum(re.fullmatch(r"q\d+_rad", column) is not None for column in table.columns)
-    if columns != joints:
+    columns = columns or {}
+    names = {*column_names(path), *columns}
+    for name in columns:
+        if not KNOWN.fullmatch(name):
+            raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
+    numbered = len({match[1] for name in names if (match := JOINT.fullmatch(name))})
+    if joints is not None and numbered != joints:
         raise FileError(
-            f"{path}: {columns} columns of joint angles (q1_rad ...), but the robot table has {joints} joints;"
-            " give the table up to the joint that carries the scanner"
+            f"{path}: {numbered} columns of joint angles (q1_rad or q1_deg ...), but the robot table has {joints}"
+            " joints; give the table up to the joint that carries the scanner"
         )
-    table = read_table(path, (*angles, *seen, *measured))
-    train = None
-    if "split" in table.columns:
-        split = table["split"].astype(str).str.strip()
-        wrong = ~split.isin(["train", "test"])
-        if wrong.any():
-            row = int(wrong.to_numpy().argmax())
-            raise FileError(f"{path}: row {row + 1}, column split: {split.iloc[row]!r}; write train or test")
-        train = (split == "train").to_numpy()
-    covariance = None
-    if all(column in table.columns for column in COVARIANCE_COLUMNS):
-        numbers = read_table(path, COVARIANCE_COLUMNS)[list(COVARIANCE_COLUMNS)].to_numpy(dtype=float)
-        covariance = numbers[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    angles = [f"q{i + 1}_rad" for i in range(max(numbered, 1))]
+    seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
+    on_tool = not any(re.fullmatch("s[xyz]_m?m", name) for name in names)
+    covariances = list(COVARIANCE_COLUMNS) if set(COVARIANCE_COLUMNS) <= names else []
+    texts = [name for name in ("pose", "sphere", "split") if name in names]
+    table = read_table(path, (*angles, *(() if on_tool else seen), *measured, *covariances), texts, columns)
+    labels = {name: table[name].astype(str).to_numpy(dtype=str) for name in texts}
+    covariance = table[covariances].to_numpy(dtype=float) if covariances else None
     return Measurements(
         table[angles].to_numpy(dtype=float),
-        table[seen].to_numpy(dtype=float),
+        np.zeros((len(table), 3)) if on_tool else table[seen].to_numpy(dtype=float),
         table[measured].to_numpy(dtype=float),
-        pose=table["pose"].astype(str).to_numpy(dtype=str),
-        sphere=table["sphere"].astype(str).to_numpy(dtype=str),
-        train=train,
-        scanner_covariance_mm2=covariance,
+        pose=labels.get("pose"),
+        sphere=labels.get("sphere"),
+        train=_train_rows(path, labels["split"]) if "split" in labels else None,
+        scanner_covariance_mm2=(
+            None if covariance is None else covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        ),
     )
+
+
+def _train_rows(path: str | Path, split: NDArray[np.str_]) -> Flags:
+    split = np.char.strip(split)
+    wrong = ~np.isin(split, ["train", "test"])
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise FileError(f"{path}: row {row + 1}, column split: {str(split[row])!r}; write train or test")
+    return split == "train"

@@ -12,7 +12,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm import MdhArm
-from grindvision.arm.model import in_millimetres, pinocchio_model, urdf_model
+from grindvision.arm.model import in_millimetres, pinocchio_model
+from grindvision.arm.urdf import mesh_files, urdf_model
 from grindvision.errors import FileError, InputError
 from grindvision.geometry import check_rigid, rigid
 from grindvision.motion.tool import Tool
@@ -152,6 +153,10 @@ def urdf_robot(
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
     folder = Path(path).parent if package_folder is None else Path(package_folder)
+    for name in mesh_files(path):
+        place = folder / name.removeprefix("package://").removeprefix("file://")
+        if not place.resolve().is_relative_to(folder.resolve()):
+            raise FileError(f"{path}: mesh {name} is not looked for outside {folder}; put the meshes beside the file")
     try:
         meshes = pin.buildGeomFromUrdf(metres, str(path), pin.GeometryType.COLLISION, package_dirs=str(folder))
     except (ValueError, RuntimeError) as error:
