@@ -12,7 +12,8 @@ from grindvision.geometry import inverse, move_points, random_rotation, rigid, t
 from grindvision.vision.bead_path import trace_bead
 from grindvision.vision.boxes import box_path, minimal_box
 from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.difference import Cluster, difference_paper, find_difference, heights_above
+from grindvision.vision.difference import Cluster, difference_paper, find_difference
+from grindvision.vision.heights import heights_above
 from grindvision.vision.surfels import build_surfels
 
 

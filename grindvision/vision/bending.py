@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry import move_points, rigid, small_motion, turn_vectors
-from grindvision.geometry.neighbours import build_cells, nearest
+from grindvision.geometry.neighbours import build_cells
+from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.surfels import Surfels
 
@@ -33,7 +34,9 @@ def refine_bent(
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 
     The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent,
-    not single residuals.
+    not single residuals. It also holds the part of the bending that looks like a motion, a constant and two slopes,
+    which cannot be seen: expected as large as the bends that can. What moves both scans alike (a scale error, an offset
+    of the depth) leaves no trace in either and is not in it.
     """
     source, normals = np.asarray(source, dtype=float), np.asarray(source_normals, dtype=float)
     size = target.grid.size_mm
@@ -41,17 +44,17 @@ def refine_bent(
     prior = 1 * start.rms_mm
     for _ in range(iterations):
         moved = move_points(transform, source)
-        match, distance = nearest(target.grid, moved, 2 * size)
-        up = target.normals[match]
-        residual = ((moved - target.points[match]) * up).sum(axis=1)
-        used = (match >= 0) & ((turn_vectors(transform, normals) * up).sum(axis=1) > 0.7)
-        used[used] &= distance[used] ** 2 - residual[used] ** 2 < (1.5 * size) ** 2
-        moved, up, residual = moved[used], up[used], residual[used]
+        residual, up, variance = heights_above(target, moved, 2 * size)
+        used = ~np.isnan(residual) & ((turn_vectors(transform, normals) * up).sum(axis=1) > 0.7)
+        moved, up, residual, variance = moved[used], up[used], residual[used], variance[used]
         centre = moved.mean(axis=0)
-        design = np.column_stack([up, np.cross(moved - centre, up), _field(moved - centre)])
-        solution, information, weights, spread = _robust(design, residual, prior)
+        hidden, bends = _fields(moved - centre)
+        design = np.column_stack([up, np.cross(moved - centre, up), bends])
+        solution, information, weights, spread = _robust(design, residual, variance, prior)
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
+    mistaken = _solved(information, design.T @ (weights[:, None] * hidden)) * _hidden_sizes(solution[6:])
     covariance = _block_covariance(moved, design, residual + design @ solution, weights, information)
+    covariance += mistaken @ mistaken.T
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
         iterations=start.iterations + iterations, covariance=covariance[:6, :6],
@@ -59,45 +62,61 @@ def refine_bent(
     )  # fmt: skip
 
 
-def _field(places: Floats) -> Floats:
-    """Terms of the bending field (N, 7) at places (N, 3) about the middle, of order one over the cloud."""
+def _fields(places: Floats) -> tuple[Floats, Floats]:
+    """Fields (N, 3) that look like a motion and bends (N, 7), at places (N, 3) about the middle; each of unit rms, and
+    none holds a part of another."""
     extent = np.sqrt((places**2).sum(axis=1).mean())
     _, axes = np.linalg.eigh(places.T @ places)
     u, v = places @ axes[:, 2] / extent, places @ axes[:, 1] / extent
-    field = np.column_stack([u**a * v**b for a, b in POWERS])
-    flat = np.linalg.qr(np.column_stack([np.ones_like(u), u, v]))[0]
-    return field - flat @ (flat.T @ field)
+    terms = np.column_stack([np.ones_like(u), u, v, *(u**a * v**b for a, b in POWERS)])
+    terms = np.linalg.qr(terms)[0] * np.sqrt(len(places))
+    return terms[:, :3], terms[:, 3:]
 
 
-def _robust(design: Floats, residual: Floats, prior: float) -> tuple[Floats, Floats, Floats, float]:
-    """Least squares with Tukey's weights; all but the first six unknowns are held to zero within ``prior``."""
+def _hidden_sizes(bends: Floats) -> Floats:
+    """Sizes (3,) in mm of the constant and the two slopes, from the bends (7,): a smooth field grows from degree to
+    degree towards the low ones as it does from degree three to two, and it does not shrink."""
+    degrees = np.array([a + b for a, b in POWERS])
+    second, third = ((bends[degrees == degree] ** 2).mean() for degree in (2, 3))
+    growth = max(1.0, second / max(third, 1e-12))
+    return np.sqrt(second * growth ** np.array([2.0, 1.0, 1.0]))
+
+
+def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) -> tuple[Floats, Floats, Floats, float]:
+    """Least squares with Tukey's weights; all but the first six unknowns are held to zero within ``prior``.
+
+    ``variance`` (N,) of the target's surface adds to the residuals' own: edges, where it is ill known, weigh less.
+    """
+    common = (1.4826 * float(np.median(np.abs(residual)))) ** 2 + 1e-18
+    trust = common / (common + variance)
     solution = np.zeros(design.shape[1])
     for _ in range(3):
         left = residual + design @ solution
         spread = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
-        weights = np.clip(1 - (left / (TUKEY * spread)) ** 2, 0, None) ** 2
+        weights = trust * np.clip(1 - trust * (left / (TUKEY * spread)) ** 2, 0, None) ** 2
         information = design.T @ (design * weights[:, None])
         information[range(6, len(solution)), range(6, len(solution))] += (spread / max(prior, 1e-9)) ** 2
-        scale = np.sqrt(np.diag(information)) + 1e-300
-        solution = (
-            -np.linalg.lstsq(
-                information / np.outer(scale, scale), design.T @ (weights * residual) / scale, rcond=1e-10
-            )[0]
-            / scale
-        )
+        solution = -_solved(information, design.T @ (weights * residual))
     return solution, information, weights, spread
 
 
 def _block_covariance(places: Floats, design: Floats, residual: Floats, weights: Floats, information: Floats) -> Floats:
     """Covariance of the unknowns when errors are alike within blocks of space and independent between them.
 
-    The sandwich estimator: what each block pulls, squared, between two inverses of the information.
+    The jackknife: how far the unknowns move when a block is left out, squared, summed over the blocks. Few blocks, the
+    steep ones, decide about motions across the surface; the sandwich estimator takes their fit for their truth.
     """
     block = float(np.linalg.norm(np.ptp(places, axis=0))) / BLOCKS_ACROSS
     grid = build_cells(places, block)
-    cells = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
-    pulls = (design * (weights * residual)[:, None])[grid.order]
-    sums = np.column_stack([np.bincount(cells, pull) for pull in pulls.T])
-    scale = np.sqrt(np.diag(information)) + 1e-300
-    spread = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) @ (sums / scale).T
-    return spread @ spread.T / np.outer(scale, scale)
+    moves = []
+    for members in np.split(grid.order, grid.starts[1:-1]):
+        rows, weighted = design[members], design[members] * weights[members, None]
+        moves.append(_solved(information - rows.T @ weighted, weighted.T @ residual[members]))
+    return np.transpose(moves) @ np.array(moves)
+
+
+def _solved(information: Floats, right: Floats) -> Floats:
+    """Least solution of the normal equations, with mm and radians made comparable first."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    return inverse @ right

@@ -10,7 +10,6 @@ that one of the two scans does not show (shadows, outline) is not a difference.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, turn_vectors
-from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest, nearest_one, within_radius
+from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest, within_radius
 from grindvision.vision.clusters import euclidean_clusters
+from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surfels import Surfels
@@ -34,6 +34,9 @@ MOST_CHANGED = 0.4
 
 MOST_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
+
+LEAST_SHOWN = 8
+"""Of the nine pixels about a doubtful point, so many must show surface behind it: at a rim it may be surface unseen."""
 
 LEAST_SPREAD = 0.4
 """A piece whose feet cover fewer cells of the good surface than this share of its own is a wall seen in one scan."""
@@ -74,6 +77,11 @@ class Difference:
     signed_mm: Floats
     level_mm: Floats
     level_of_detection_mm: float
+
+    @property
+    def compared(self) -> float:
+        """Share of the test scan's surfels that the sample shows a surface to compare with."""
+        return float(np.mean(~np.isnan(self.signed_mm)))
 
     @property
     def points(self) -> Floats:
@@ -159,28 +167,6 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
     return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
 
 
-def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Floats, Floats, Floats]:
-    """Signed heights (N,) of points (N, 3) above a surface of surfels, its normals (N, 3) there, and the variance (N,).
-
-    The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
-    where no surfel lies within ``most_mm`` or the point is beside the surface.
-    """
-    grid, counts = good.grid, good.counts.astype(float)
-
-    def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
-        return _blended(
-            part, float(most_mm), good.normals, counts, good.noise_mm, good.roughness_mm, grid.points, grid.order,
-            grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
-        )  # fmt: skip
-
-    halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
-    with ThreadPoolExecutor(2) as pool:
-        heights, normals, variances = (
-            np.concatenate(column) for column in zip(*pool.map(blended, halves), strict=True)
-        )
-    return heights, normals, variances
-
-
 def _pose_variance(registration: FineRegistration, points: Floats, normals: Floats) -> Floats:
     """Variance (N,) of heights that comes from the pose: steep places feel shifts across the surface."""
     if not np.isfinite(registration.covariance).all():
@@ -226,11 +212,13 @@ def _in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: flo
     asked, asked_depths = project(points)
     inside = ((asked > low) & (asked < high - 1)).all(axis=1)
     spot = np.where(inside[:, None], asked - low, 1)
-    window = np.full(len(points), np.inf)
+    window, shown = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for i in (-1, 0, 1):
         for j in (-1, 0, 1):
-            np.minimum(window, nearest_depth[spot[:, 0] + i, spot[:, 1] + j], out=window)
-    return inside & np.isfinite(window) & (asked_depths < window)
+            depth = nearest_depth[spot[:, 0] + i, spot[:, 1] + j]
+            np.minimum(window, depth, out=window)
+            shown += np.isfinite(depth)
+    return inside & (shown >= LEAST_SHOWN) & (asked_depths < window)
 
 
 def _surrounded(good: Surfels, feet: Floats, normals: Floats) -> Flags:
@@ -324,62 +312,3 @@ def _points_in_cells(points, flags, table_keys, table_cells, origin, per_mm):
             found[count] = p
             count += 1
     return found[:count].copy()
-
-
-@njit(cache=True, nogil=True)
-def _blended(
-    queries, most, normals, counts, noise, roughness, points, order, starts, table_keys, table_cells, origin, per_mm
-):  # fmt: skip
-    number = len(queries)
-    heights, variances = np.full(number, np.nan), np.zeros(number)
-    blended = np.zeros((number, 3))
-    size = 1.0 / per_mm
-    spread = 2 * (0.9 * size) ** 2
-    for p in range(number):
-        x, y, z = queries[p, 0], queries[p, 1], queries[p, 2]
-        q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
-        if q < 0:
-            continue
-        n = normals[q]
-        along = n[0] * (x - points[q, 0]) + n[1] * (y - points[q, 1]) + n[2] * (z - points[q, 2])
-        if squared - along * along > (1.2 * size) ** 2:
-            continue
-        # foot of the point on the nearest surfel's plane, around which the planes are blended
-        fx, fy, fz = x - along * n[0], y - along * n[1], z - along * n[2]
-        i0, j0, k0 = int((fx - origin[0]) * per_mm), int((fy - origin[1]) * per_mm), int((fz - origin[2]) * per_mm)
-        total = height = variance = 0.0
-        ax = ay = az = 0.0
-        for i in range(i0 - 1, i0 + 2):
-            for j in range(j0 - 1, j0 + 2):
-                for k in range(k0 - 1, k0 + 2):
-                    if i < 0 or j < 0 or k < 0:
-                        continue
-                    slot = find_slot(table_keys, cell_key(i, j, k))
-                    if table_keys[slot] < 0:
-                        continue
-                    cell = table_cells[slot]
-                    for at in range(starts[cell], starts[cell + 1]):
-                        c = order[at]
-                        m = normals[c]
-                        if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < 0.8:
-                            continue
-                        dx, dy, dz = fx - points[c, 0], fy - points[c, 1], fz - points[c, 2]
-                        up = m[0] * dx + m[1] * dy + m[2] * dz
-                        lateral = dx * dx + dy * dy + dz * dz - up * up
-                        weight = counts[c] * np.exp(-lateral / spread)
-                        total += weight
-                        height += weight * (
-                            m[0] * (x - points[c, 0]) + m[1] * (y - points[c, 1]) + m[2] * (z - points[c, 2])
-                        )
-                        ax += weight * m[0]
-                        ay += weight * m[1]
-                        az += weight * m[2]
-                        excess = max(roughness[c] ** 2 - noise[c] ** 2, 0.0)
-                        variance += weight * (noise[c] ** 2 * weight / max(counts[c], 1.0) + 0.25 * excess * weight)
-        if total == 0.0:
-            continue
-        heights[p] = height / total
-        variances[p] = variance / (total * total)
-        length = np.sqrt(ax * ax + ay * ay + az * az)
-        blended[p, 0], blended[p, 1], blended[p, 2] = ax / length, ay / length, az / length
-    return heights, blended, variances
