@@ -1,7 +1,7 @@
-// Cloud to weld trajectory as the second paper describes it, on PCL alone: the peer of chapters 10 and 11.
-// Build:  g++ -O3 -fopenmp pcl_weld.cpp -o pcl_weld -I/usr/include/pcl-1.13 -I/usr/include/eigen3
-//         -lpcl_common -lpcl_search -lpcl_kdtree -lpcl_features -lpcl_surface -lpcl_segmentation -lpcl_filters
-// Run:    pcl_weld CLOUD.f32 SMOOTHING_MM THRESHOLD_DEG   (float32 x y z in mm; one line of JSON on standard output)
+// Cloud to weld trajectory as the second paper describes it, on PCL alone. Lengths in mm.
+//   pcl_weld CLOUD.ply ANSWER SMOOTHING RADIUS THRESHOLD_DEG
+// The cloud is a binary PLY of float x y z. ANSWER receives one byte per point: 1 in the groove. One line of JSON on
+// standard output: seconds per stage, memory, way points. RADIUS: normals and histograms.
 #include <pcl/features/normal_3d_omp.h>
 #include <pcl/point_types.h>
 #include <pcl/search/kdtree.h>
@@ -9,49 +9,43 @@
 #include <pcl/surface/mls.h>
 
 #include <Eigen/Eigenvalues>
-#include <chrono>
 #include <cstdio>
 #include <cstdlib>
-#include <fstream>
 #include <vector>
 
+#include "measured.h"
+#include "ply.h"
+
 using Cloud = pcl::PointCloud<pcl::PointXYZ>;
-using Clock = std::chrono::steady_clock;
 
-constexpr double kRadius = 5.0;  // normals, histograms, vote and clusters, mm
+constexpr double kVote = 5.0;  // vote and clusters
 constexpr int kSlabs = 50;
-
-static Cloud::Ptr read(const char* name) {
-  std::ifstream file(name, std::ios::binary);
-  Cloud::Ptr cloud(new Cloud);
-  float xyz[3];
-  while (file.read(reinterpret_cast<char*>(xyz), sizeof xyz)) cloud->emplace_back(xyz[0], xyz[1], xyz[2]);
-  return cloud;
-}
 
 // Standard deviations of the angles to the point's own normal and to the mean normal; the descriptor is the fourth
 // root of the product of both variances, in degrees.
 static std::vector<float> descriptor(const Cloud& cloud, const pcl::PointCloud<pcl::Normal>& normals,
-                                     pcl::search::KdTree<pcl::PointXYZ>& tree) {
+                                     pcl::search::KdTree<pcl::PointXYZ>& tree, double radius) {
   Eigen::Vector3f mean = Eigen::Vector3f::Zero();
   for (const auto& n : normals)
     if (std::isfinite(n.normal_x)) mean += n.getNormalVector3fMap();
   mean.normalize();
   const float degrees = 180.0f / static_cast<float>(M_PI);
-  std::vector<float> value(cloud.size(), 0.0f);
+  std::vector<float> value(cloud.size(), 0.0f), toMean(cloud.size());
+  for (std::size_t i = 0; i < cloud.size(); ++i)
+    toMean[i] = std::acos(std::clamp(mean.dot(normals[i].getNormalVector3fMap()), -1.0f, 1.0f)) * degrees;
 #pragma omp parallel
   {
     pcl::Indices near;
     std::vector<float> squared;
 #pragma omp for schedule(dynamic, 512)
     for (int i = 0; i < static_cast<int>(cloud.size()); ++i) {
-      tree.radiusSearch(cloud[i], kRadius, near, squared);
+      tree.radiusSearch(cloud[i], radius, near, squared);
       double local = 0, local2 = 0, global = 0, global2 = 0;
       const Eigen::Vector3f own = normals[i].getNormalVector3fMap();
       for (int j : near) {
         const Eigen::Vector3f n = normals[j].getNormalVector3fMap();
         const float l = std::acos(std::clamp(own.dot(n), -1.0f, 1.0f)) * degrees;
-        const float g = std::acos(std::clamp(mean.dot(n), -1.0f, 1.0f)) * degrees;
+        const float g = toMean[j];
         local += l, local2 += l * l, global += g, global2 += g * g;
       }
       const double count = near.size();
@@ -106,11 +100,11 @@ static std::vector<Eigen::Vector3d> wayPoints(const Cloud& cloud, const pcl::Ind
 }
 
 int main(int count, char** words) {
-  if (count != 4) return std::fprintf(stderr, "usage: pcl_weld CLOUD.f32 SMOOTHING_MM THRESHOLD_DEG\n"), 2;
-  const Cloud::Ptr raw = read(words[1]);
-  if (raw->size() < 100) return std::fprintf(stderr, "pcl_weld: %s holds no cloud\n", words[1]), 2;
-  const double smoothing = std::atof(words[2]), threshold = std::atof(words[3]);
-  std::vector<Clock::time_point> marks{Clock::now()};
+  if (count != 6) return std::fprintf(stderr, "usage: pcl_weld CLOUD.ply ANSWER SMOOTHING RADIUS THRESHOLD_DEG\n"), 2;
+  Laps laps;
+  const Cloud::Ptr raw = readPly<pcl::PointXYZ>(words[1], 3);
+  const double smoothing = std::atof(words[3]), radius = std::atof(words[4]), threshold = std::atof(words[5]);
+  laps.lap("read");
 
   Cloud::Ptr cloud(new Cloud);
   pcl::MovingLeastSquares<pcl::PointXYZ, pcl::PointXYZ> mls;
@@ -120,47 +114,59 @@ int main(int count, char** words) {
   mls.setPolynomialOrder(2);
   mls.setNumberOfThreads(omp_get_max_threads());
   mls.process(*cloud);
-  marks.push_back(Clock::now());
+  const pcl::Indices rows = mls.getCorrespondingIndices()->indices;
+  laps.lap("smoothing");
 
-  pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>);
+  pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>(false));
   tree->setInputCloud(cloud);
   pcl::NormalEstimationOMP<pcl::PointXYZ, pcl::Normal> estimate(omp_get_max_threads());
   pcl::PointCloud<pcl::Normal> normals;
   estimate.setInputCloud(cloud);
   estimate.setSearchMethod(tree);
-  estimate.setRadiusSearch(kRadius);
+  estimate.setRadiusSearch(radius);
   estimate.compute(normals);
-  marks.push_back(Clock::now());
+  laps.lap("normals");
 
-  const std::vector<float> value = descriptor(*cloud, normals, *tree);
-  marks.push_back(Clock::now());
+  const std::vector<float> value = descriptor(*cloud, normals, *tree, radius);
+  laps.lap("descriptor");
 
-  pcl::IndicesPtr high(new pcl::Indices);
-  pcl::Indices near;
-  std::vector<float> squared;
-  for (int i = 0; i < static_cast<int>(cloud->size()); ++i) {
-    if (value[i] <= threshold) continue;
-    tree->radiusSearch((*cloud)[i], kRadius, near, squared);
-    std::size_t votes = 0;
-    for (int j : near) votes += value[j] > threshold;
-    if (2 * votes > near.size()) high->push_back(i);
+  const int size = static_cast<int>(cloud->size());
+  std::vector<char> voted(size, 0);
+#pragma omp parallel
+  {
+    pcl::Indices near;
+    std::vector<float> squared;
+#pragma omp for schedule(dynamic, 512)
+    for (int i = 0; i < size; ++i) {
+      if (value[i] <= threshold) continue;
+      tree->radiusSearch((*cloud)[i], kVote, near, squared);
+      std::size_t votes = 0;
+      for (int j : near) votes += value[j] > threshold;
+      voted[i] = 2 * votes > near.size();
+    }
   }
+  Cloud::Ptr high(new Cloud);
+  pcl::Indices rowOf;
+  for (int i = 0; i < size; ++i)
+    if (voted[i]) high->push_back((*cloud)[i]), rowOf.push_back(i);
   std::vector<pcl::PointIndices> clusters;
-  pcl::EuclideanClusterExtraction<pcl::PointXYZ> extract;
-  extract.setInputCloud(cloud);
-  extract.setIndices(high);
-  extract.setSearchMethod(pcl::search::KdTree<pcl::PointXYZ>::Ptr(new pcl::search::KdTree<pcl::PointXYZ>));
-  extract.setClusterTolerance(kRadius);
-  extract.extract(clusters);
-  marks.push_back(Clock::now());
+  if (!high->empty()) {
+    pcl::EuclideanClusterExtraction<pcl::PointXYZ> extract;
+    extract.setInputCloud(high);
+    extract.setSearchMethod(pcl::search::KdTree<pcl::PointXYZ>::Ptr(new pcl::search::KdTree<pcl::PointXYZ>(false)));
+    extract.setClusterTolerance(kVote);
+    extract.extract(clusters);  // largest first
+  }
+  pcl::Indices groove;
+  if (!clusters.empty())
+    for (int i : clusters[0].indices) groove.push_back(rowOf[i]);
+  laps.lap("groove");
 
-  const auto path = clusters.empty() ? std::vector<Eigen::Vector3d>{} : wayPoints(*cloud, clusters[0].indices);
-  marks.push_back(Clock::now());
+  const auto path = groove.empty() ? std::vector<Eigen::Vector3d>{} : wayPoints(*cloud, groove);
+  laps.lap("trajectory");
 
-  const char* stages[] = {"smoothing_s", "normals_s", "descriptor_s", "groove_s", "trajectory_s"};
-  std::printf("{\"points\": %zu, \"groove_points\": %zu, \"way_points\": %zu", raw->size(),
-              clusters.empty() ? 0 : clusters[0].indices.size(), path.size());
-  for (int i = 0; i < 5; ++i)
-    std::printf(", \"%s\": %.4f", stages[i], std::chrono::duration<double>(marks[i + 1] - marks[i]).count());
-  std::printf(", \"total_s\": %.4f}\n", std::chrono::duration<double>(marks.back() - marks.front()).count());
+  std::vector<char> labels(raw->size(), 0);
+  for (int i : groove) labels[rows[i]] = 1;
+  std::ofstream(words[2], std::ios::binary).write(labels.data(), labels.size());
+  laps.print("\"path\": " + numbers(path));
 }

@@ -1,0 +1,91 @@
+"""``python -m benchmarks``: runs the races and writes their tables and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+
+from benchmarks import inputs, machine, races, report
+from benchmarks.peers.programs import build_pcl
+from benchmarks.races import Plan, Race
+from benchmarks.racing import Racer, race
+from grindvision.book.places import FIGURES
+from grindvision.errors import GrindvisionError
+from grindvision.files import writable_folder
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run what is asked for; 0 done, 2 bad input."""
+    known = {one.name: one for one in (*races.RACES, *races.ON_DEMAND)}
+    parser = argparse.ArgumentParser(
+        prog="./run bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="RACE", help=f"of {', '.join(known)}; the last only when asked for"
+    )
+    parser.add_argument("--rounds", type=int, metavar="N", help="rounds of each racer, 5 if left out")
+    parser.add_argument("--quick", action="store_true", help="one round, smallest inputs: to see that everything runs")
+    parser.add_argument("--seed", type=int, default=10, help="of the synthetic inputs")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="figures/, for less than all build/benchmarks")
+    asked = parser.parse_args(words)
+    wrong = sorted(set(asked.only or ()) - set(known))
+    if wrong:
+        parser.error(f"no race {', '.join(wrong)}; there are {', '.join(known)}")
+    if asked.rounds is not None and asked.rounds < 1:
+        parser.error(f"{asked.rounds} rounds asked for; at least 1 is needed")
+    plan = replace(races.QUICK if asked.quick else Plan(), seed=asked.seed)
+    if asked.rounds:
+        plan = replace(plan, rounds=asked.rounds)
+    chosen = [known[name] for name in asked.only] if asked.only else list(races.RACES)
+    try:
+        folder = writable_folder(asked.output or (FIGURES if plan.complete else inputs.CACHE / "figures"))
+        run(chosen, plan, folder)
+    except GrindvisionError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    print(f"written to {os.path.relpath(folder)}")
+    return 0
+
+
+def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
+    """Run the races one after the other; each writes its files when it is done."""
+    facts, no_pcl = machine.facts(plan.seed), build_pcl()
+    for one in chosen:
+        print(f"\n{one.title}")
+        there, absent = present(one.racers, no_pcl)
+        for note in absent:
+            print(f"  {note}")
+        found = []
+        for rounds in one.cases(plan):
+            found += race(there, rounds, one.judge)
+        table = report.table_of(found, one.accuracy)
+        notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
+        report.write_race(folder, one.name, one.title, table, notes, facts, one.drawn)
+
+
+def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[str]]:
+    """Who can race here, and for everyone else a line that says why not."""
+    there, absent = [], []
+    for racer in racers:
+        if racer.needs == "PCL":
+            reason = no_pcl
+        elif racer.needs == "CloudCompare":
+            reason = "" if which("CloudCompare") else "not installed (Debian, Ubuntu: apt-get install cloudcompare)"
+        elif racer.needs and find_spec(racer.needs) is None:
+            reason = f"no Python module {racer.needs} (pip install -r benchmarks/requirements.txt)"
+        else:
+            reason = ""
+        if reason:
+            absent.append(f"absent: {racer.name}: {reason}")
+        else:
+            there.append(racer)
+    return there, absent
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,180 @@
+"""Tables and pictures of a race: csv, md, svg and png, written race by race."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import grindvision.book
+from benchmarks.racing import Measurement
+from grindvision.book import COLOURS
+from grindvision.book.figures import csv_text, markdown_table
+from grindvision.files import write_text, write_whole
+
+KINDS = {"ours": "grindvision", "paper_variant": "grindvision, the paper's variant", "peer": "peer"}
+STYLE = Path(grindvision.book.__file__).with_name("book.mplstyle")
+HIDDEN = ("kind", "cpu_s", "stages_s")
+"""Columns of the csv that the Markdown table leaves out."""
+
+
+def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str]) -> pd.DataFrame:
+    """One row per case and racer: times, ratio, memory, failures, and the accuracy of the answers.
+
+    ``median_s``, ``min_s``, ``max_s`` are wall times over ``rounds``; ``cpu_s`` the median over all threads;
+    ``of_fastest_peer`` the median over that of the fastest peer that did not fail; ``peak_mib`` the process after its
+    first run, ``growth_mib`` of it since the imports. Accuracy: the median over the rounds; of a ``max`` the largest.
+    """
+    rows = []
+    for (label, _), own in _grouped(measurements).items():
+        good = [one.accuracy for one in own if not one.error]
+        seconds = [one.wall_s for one in own]
+        rows.append(
+            {
+                "case": label,
+                "points": int(np.median([one.case.points for one in own])),
+                "racer": own[0].racer.name,
+                "kind": own[0].racer.kind,
+                "rounds": len(own),
+                "median_s": float(np.median(seconds)),
+                "min_s": min(seconds),
+                "max_s": max(seconds),
+                "cpu_s": float(np.median([one.cpu_s for one in own])),
+                "of_fastest_peer": np.nan,
+                "peak_mib": own[0].peak_mib,
+                "growth_mib": own[0].growth_mib,
+                "failures": sum(one.failed for one in own),
+                **{name: _summary(name, [one[name] for one in good]) for name in accuracy},
+                "stages_s": _stages(own),
+            }
+        )
+    table = pd.DataFrame(rows)
+    for _, own in table.groupby("case"):
+        peers = own[own["kind"] == "peer"]
+        right = peers[peers["failures"] < 0.5 * peers["rounds"]]
+        if len(peers):
+            table.loc[own.index, "of_fastest_peer"] = (
+                own["median_s"] / (right if len(right) else peers)["median_s"].min()
+            )
+    return table
+
+
+def write_race(
+    folder: Path, name: str, title: str, table: pd.DataFrame, notes: Sequence[str], facts: dict[str, str],
+    drawn: Sequence[str] = (),
+) -> None:  # fmt: skip
+    """Write ``bench_name.csv`` and ``.md``, and a picture of times, memory and the ``drawn`` accuracy columns."""
+    write_text(folder / f"bench_{name}.csv", csv_text(table))
+    shown = table.drop(columns=[column for column in HIDDEN if column in table])
+    machine = "; ".join(f"{what} {value}" for what, value in facts.items())
+    lines = [f"# {title}", "", markdown_table(shown), "", *(f"- {note}" for note in notes), f"- Run on: {machine}.", ""]
+    write_text(folder / f"bench_{name}.md", "\n".join(lines))
+    if drawn:
+        with plt.style.context(STYLE):
+            save_picture(race_picture(title, table, drawn), folder / f"bench_{name}")
+
+
+def save_picture(fig: Figure, stem: Path) -> None:
+    """Save as svg and png, whole or not at all, and close."""
+    for suffix in (".svg", ".png"):
+        with write_whole(stem.with_suffix(suffix)) as path:
+            fig.savefig(path, metadata={"Date": None} if suffix == ".svg" else {"Software": None})
+    plt.close(fig)
+
+
+def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figure:
+    """Dots with their range for the times, then memory and accuracy, one line per racer, grouped by case."""
+    cases = list(dict.fromkeys(table["case"]))
+    places = np.concatenate([np.flatnonzero(table["case"] == case) + 1.2 * cases.index(case) for case in cases])
+    panels = ["median_s", "peak_mib", *drawn]
+    fig, axes = plt.subplots(
+        1, len(panels), figsize=(4.2 + 2.1 * len(panels), 1.6 + 0.2 * places[-1]), sharey=True, squeeze=False,
+        width_ratios=[1.5] + [1] * (len(panels) - 1),
+    )  # fmt: skip
+    for panel, column in zip(axes[0], panels, strict=True):
+        _dots(panel, table, places, column)
+    first = axes[0, 0]
+    first.set_yticks(places, table["racer"])
+    first.invert_yaxis()
+    for case in cases:
+        own = table["case"] == case
+        text = f"{case}" if not own.any() else f"{case}: {table.loc[own, 'points'].iloc[0]:,} points"
+        first.annotate(
+            text, (0, places[own.to_numpy()][0] - 0.85), xycoords=("axes fraction", "data"), fontsize=9, weight="bold"
+        )
+    handles = [
+        plt.Line2D([], [], marker="o", ls="", color=COLOURS[kind]) for kind in KINDS if kind in set(table["kind"])
+    ]
+    words = [KINDS[kind] for kind in KINDS if kind in set(table["kind"])]
+    fig.legend(handles, words, loc="outside lower center", ncols=3)
+    fig.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return fig
+
+
+def growth_picture(title: str, table: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
+    """Time against points, both logarithmic, with each racer's slope; and the slopes."""
+    fig, axes = plt.subplots(figsize=(7.0, 4.4))
+    slopes = []
+    for name, own in table.groupby("racer", sort=False):
+        own = own[own["failures"] < own["rounds"]].sort_values("points")
+        if len(own) < 2:
+            continue
+        points, seconds = own["points"].to_numpy(float), own["median_s"].to_numpy(float)
+        slope = np.polyfit(np.log(points), np.log(seconds), 1)[0]
+        last = np.log(seconds[-1] / seconds[-2]) / np.log(points[-1] / points[-2])
+        slopes.append({"racer": name, "slope": slope, "slope_of_last_step": last})
+        mine = own["kind"].iloc[0] == "ours"
+        axes.plot(
+            points, seconds, "o-", lw=2.4 if mine else 1.2, zorder=3 if mine else 2,
+            color=COLOURS["ours"] if mine else None, label=f"{name}: slope {slope:.2f}, last step {last:.2f}",
+        )  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlabel="points per scan", ylabel="time (s)", title=title)
+    axes.legend(loc="upper left")
+    return fig, pd.DataFrame(slopes)
+
+
+def _grouped(measurements: Sequence[Measurement]) -> dict[tuple[str, str], list[Measurement]]:
+    groups: dict[tuple[str, str], list[Measurement]] = {}
+    for one in measurements:
+        groups.setdefault((one.case.label, one.racer.name), []).append(one)
+    return groups
+
+
+def _summary(name: str, values: Sequence[float]) -> float:
+    values = [value for value in values if np.isfinite(value)]
+    if not values:
+        return np.nan
+    return float(max(values) if "max" in name else np.median(values))
+
+
+def _stages(own: Sequence[Measurement]) -> str:
+    names = own[-1].laps_s
+    return ", ".join(f"{name} {np.median([one.laps_s.get(name, np.nan) for one in own]):.3f}" for name in names)
+
+
+def _dots(axes: Axes, table: pd.DataFrame, places: np.ndarray, column: str) -> None:
+    values = table[column].to_numpy(float)
+    colours = [COLOURS[kind] for kind in table["kind"]]
+    if column == "median_s":
+        axes.hlines(places, table["min_s"], table["max_s"], colors=colours, lw=2, alpha=0.5)
+    axes.scatter(values, places, c=colours, s=30, zorder=3)
+    finite = values[np.isfinite(values)]
+    if len(finite) and finite.min() > 0 and finite.max() / finite.min() > 20:
+        axes.set_xscale("log")
+    elif len(finite):
+        axes.set_xlim(0, 1.12 * finite.max() or 1)
+    for value, place, failures, rounds in zip(values, places, table["failures"], table["rounds"], strict=True):
+        if column == "median_s":
+            text = f"{value:.3g} s" + (f", {failures} of {rounds} fail" if failures else "")
+            axes.annotate(text, (value, place), (6, 4), textcoords="offset points", fontsize=7)
+    axes.set_xlabel(
+        {"median_s": "median time (s), from min to max", "peak_mib": "peak memory (MiB)"}.get(column, column)
+    )
