@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +24,7 @@ from grindvision.vision.verification import VerifiedPose, choose_pose
 Floats = NDArray[np.float64]
 
 FEWEST_POINTS = 500
+STAGES = ("features", "coarse", "verification", "icp", "difference", "path")
 
 
 @dataclass(frozen=True)
@@ -77,10 +79,16 @@ class Detection:
         return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
 
 
-def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = None) -> Detection:
+def detect(
+    sample: ArrayLike,
+    test: ArrayLike,
+    options: DetectOptions | None = None,
+    finished: Callable[[str], None] | None = None,
+) -> Detection:
     """Compare a test scan (M, 3) with the scan of a good part (N, 3), both in mm and in their own scanner frames.
 
     The stages: voxels and surfels, normals and FPFH, first alignment (SAC-IA), verification, ICP, difference, paths.
+    ``finished`` is told the name of each stage (``STAGES``) when it is done.
 
     Raises:
         InputError: NaN points, numbers that are no points, or a scan that fits as its mirror image only. UnitError: one
@@ -94,7 +102,7 @@ def detect(sample: ArrayLike, test: ArrayLike, options: DetectOptions | None = N
     options = DetectOptions() if options is None else options
     if options.points < 1:
         raise InputError(f"{options.points} path points asked for; at least 1 is needed")
-    clock = _Clock()
+    clock = _Clock(finished)
     sample = check_points(sample, "sample points", FEWEST_POINTS)
     test = check_points(test, "test points", FEWEST_POINTS)
     rng = np.random.default_rng(options.seed)
@@ -165,7 +173,8 @@ def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:
 
 
 class _Clock:
-    def __init__(self) -> None:
+    def __init__(self, finished: Callable[[str], None] | None) -> None:
+        self.finished = finished
         self.laps_s: dict[str, float] = {}
         self.last = time.perf_counter()
 
@@ -173,3 +182,5 @@ class _Clock:
         now = time.perf_counter()
         self.laps_s[name] = now - self.last
         self.last = now
+        if self.finished is not None:
+            self.finished(name)

@@ -27,7 +27,7 @@ class Weld:
     """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, the largest groove's first.
 
     ``grooves`` belong to the paths one by one; the paper's variant measures none and has one path. ``timings_s`` holds
-    seconds per stage.
+    seconds per stage, ``spacing_mm`` the distance of neighbouring points as ours found it.
     """
 
     variant: str
@@ -35,6 +35,7 @@ class Weld:
     paths: tuple[SeamPath, ...]
     grooves: tuple[DetectedGroove, ...]
     timings_s: dict[str, float]
+    spacing_mm: float | None = None
 
     @property
     def path(self) -> SeamPath:
@@ -53,6 +54,7 @@ def trace_weld(
     variant: str = "ours",
     viewpoint_mm: ArrayLike | None = None,
     settings: GfhSettings | None = None,
+    width_mm: float | None = None,
 ) -> Weld:
     """Find the groove of a cloud (N, 3) or (R, C, 3) in mm and put way points along it.
 
@@ -62,6 +64,7 @@ def trace_weld(
         variant: ``ours`` or ``paper``.
         viewpoint_mm: the camera (3,), where it is not the origin.
         settings: of the paper's variant.
+        width_mm: rough width of the groove, of our variant; estimated when left out.
 
     Raises:
         InputError: unknown variant, too few way points, an unusable cloud. UnitError: its size is no part's in mm.
@@ -80,11 +83,11 @@ def trace_weld(
         found = time.perf_counter()
         inside = detection.labels.ravel()[detection.finite]
         paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
-        labels, grooves = detection.labels, ()
+        labels, grooves, spacing = detection.labels, (), None
     else:
-        detected = find_grooves(points, viewpoint_mm)
+        detected = find_grooves(points, viewpoint_mm, width_mm)
         found = time.perf_counter()
-        labels, grooves = detected.labels, detected.grooves
+        labels, grooves, spacing = detected.labels, detected.grooves, detected.spacing_mm
         paths = tuple(root_path(groove, waypoints) for groove in grooves)
         for number, groove in enumerate(grooves, start=1):
             if groove.edges_seen < BOTH_SIDES_SHARE:
@@ -95,4 +98,4 @@ def trace_weld(
                     stacklevel=2,
                 )
     end = time.perf_counter()
-    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found})
+    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing)
