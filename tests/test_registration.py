@@ -182,7 +182,7 @@ def test_proposals_are_distinct_and_hold_the_truth(prepared, easy, rng):
 @pytest.mark.parametrize("bend_mm", [0.0, 0.05])
 def test_the_pose_errs_as_its_covariance_says(close, bend_mm):
     """Errors divided by their stated standard deviations, all six directions, over ten pairs; once with noise
-    alone, once with a scanner that bends each scan as well: part of that looks like a motion and can only be guessed."""
+    alone, once with a scanner that bends each scan as well: a part of that looks like a motion, and is guessed."""
     normalised = []
     for seed in range(10):
         case = pair(seed=40 + seed, n_points=20_000, noise_mm=0.1)
