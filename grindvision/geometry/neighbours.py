@@ -115,7 +115,7 @@ def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integer
 
 
 def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: int | None = None) -> Neighbourhoods:
-    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest, in order.
+    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest ones.
 
     The radius may not exceed the grid's cell size. A query that is itself a grid point is its own neighbour.
     """
@@ -224,21 +224,21 @@ def nearest_one(x, y, z, most_mm, points, order, starts, table_keys, table_cells
     best, best_squared = -1, most_mm * most_mm
     rings = int(most_mm * per_mm) + 1
     for ring in range(rings + 1):
-        if ring > 0:
-            clear = (ring - 1 + inside) / per_mm
-            if clear * clear > best_squared:
-                break
-        for i in range(i0 - ring, i0 + ring + 1):
-            if i < 0 or i >= AXIS_CELLS:
+        # all in cells: how far away this ring begins, and how far the best point is
+        clear, limit = max(ring - 1 + inside, 0.0), best_squared * per_mm * per_mm
+        if ring > 0 and clear * clear > limit:
+            break
+        for i in range(max(i0 - ring, 0), min(i0 + ring + 1, AXIS_CELLS)):
+            away_i = _gap(cx, i)
+            if away_i > limit:
                 continue
-            edge_i = abs(i - i0) == ring
-            for j in range(j0 - ring, j0 + ring + 1):
-                if j < 0 or j >= AXIS_CELLS:
+            for j in range(max(j0 - ring, 0), min(j0 + ring + 1, AXIS_CELLS)):
+                away_ij = away_i + _gap(cy, j)
+                if away_ij > limit:
                     continue
-                edge = edge_i or abs(j - j0) == ring
-                step = 1 if edge or ring == 0 else 2 * ring
+                step = 1 if ring == 0 or abs(i - i0) == ring or abs(j - j0) == ring else 2 * ring
                 for k in range(k0 - ring, k0 + ring + 1, step):
-                    if k < 0 or k >= AXIS_CELLS:
+                    if k < 0 or k >= AXIS_CELLS or away_ij + _gap(cz, k) > limit:
                         continue
                     slot = find_slot(table_keys, cell_key(i, j, k))
                     if table_keys[slot] == _EMPTY:
@@ -250,7 +250,15 @@ def nearest_one(x, y, z, most_mm, points, order, starts, table_keys, table_cells
                         squared = dx * dx + dy * dy + dz * dz
                         if squared < best_squared or (squared == best_squared and best < 0):
                             best, best_squared = p, squared
+                            limit = best_squared * per_mm * per_mm
     return best, best_squared
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _gap(place, cell):
+    """Squared distance, in cells, of a place on an axis from a cell that does not hold it; 0 from the one that does."""
+    away = max(cell - place, place - cell - 1, 0.0)
+    return away * away
 
 
 @njit(cache=True, nogil=True)
@@ -269,43 +277,58 @@ def _nearest_all(
 @njit(cache=True, nogil=True)
 def _within_all(queries, radius, most, points, order, starts, table_keys, table_cells, origin, per_mm):
     first = np.zeros(len(queries) + 1, dtype=np.int64)
-    indices = np.empty(max(64 * len(queries), 64), dtype=np.int64)
+    # generous: memory that is not written to is not taken
+    indices = np.empty(128 * len(queries) + 64, dtype=np.int64)
     squares = np.empty(len(indices))
-    used = 0
-    limit = radius * radius
-    for q in range(len(queries)):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        i0 = int(np.floor((x - origin[0]) * per_mm))
-        j0 = int(np.floor((y - origin[1]) * per_mm))
-        k0 = int(np.floor((z - origin[2]) * per_mm))
-        begin = used
-        for i in range(max(i0 - 1, 0), min(i0 + 2, AXIS_CELLS)):
-            for j in range(max(j0 - 1, 0), min(j0 + 2, AXIS_CELLS)):
-                for k in range(max(k0 - 1, 0), min(k0 + 2, AXIS_CELLS)):
-                    slot = find_slot(table_keys, cell_key(i, j, k))
-                    if table_keys[slot] == _EMPTY:
-                        continue
-                    cell = table_cells[slot]
-                    if used + starts[cell + 1] - starts[cell] > len(indices):
-                        room = 2 * (used + starts[cell + 1] - starts[cell])
-                        more, more_squares = np.empty(room, dtype=np.int64), np.empty(room)
-                        more[:used], more_squares[:used] = indices[:used], squares[:used]
-                        indices, squares = more, more_squares
-                    for at in range(starts[cell], starts[cell + 1]):
-                        p = order[at]
-                        dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                        squared = dx * dx + dy * dy + dz * dz
-                        if squared <= limit:
-                            indices[used], squares[used] = p, squared
-                            used += 1
-        if most < 0:
-            first[q + 1] = used
+    used = q = 0
+    while q < len(queries):
+        end = _within_one(
+            queries[q], radius, used, indices, squares, points, order, starts, table_keys, table_cells, origin, per_mm
+        )
+        if end < 0:
+            more, more_squares = np.empty(2 * len(indices), dtype=np.int64), np.empty(2 * len(indices))
+            more[:used], more_squares[:used] = indices[:used], squares[:used]
+            indices, squares = more, more_squares
             continue
-        rank = np.argsort(squares[begin:used], kind="mergesort")
-        kept = min(len(rank), most)
-        here, here_squares = indices[begin:used].copy(), squares[begin:used].copy()
-        for at in range(kept):
-            indices[begin + at], squares[begin + at] = here[rank[at]], here_squares[rank[at]]
-        used = begin + kept
-        first[q + 1] = used
-    return first, indices[:used].copy(), squares[:used].copy()
+        if 0 <= most < end - used:
+            rank = used + np.argsort(squares[used:end], kind="mergesort")[:most]
+            indices[used : used + most], squares[used : used + most] = indices[rank], squares[rank]
+            end = used + most
+        used = end
+        q += 1
+        first[q] = used
+    return first, indices[:used], squares[:used]
+
+
+@njit(cache=True, nogil=True)
+def _within_one(
+    query, radius, used, indices, squares, points, order, starts, table_keys, table_cells, origin, per_mm
+):  # fmt: skip
+    """Append the neighbours of one query from place ``used`` on: the place behind the last; -1 when there is no room.
+
+    Arrays that grow are replaced outside, as in ``_enter``.
+    """
+    x, y, z = query[0], query[1], query[2]
+    cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
+    i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
+    limit = radius * radius
+    reach = limit * per_mm * per_mm * (1 + 1e-9)
+    for i in range(max(i0 - 1, 0), min(i0 + 2, AXIS_CELLS)):
+        for j in range(max(j0 - 1, 0), min(j0 + 2, AXIS_CELLS)):
+            for k in range(max(k0 - 1, 0), min(k0 + 2, AXIS_CELLS)):
+                if _gap(cx, i) + _gap(cy, j) + _gap(cz, k) > reach:
+                    continue
+                slot = find_slot(table_keys, cell_key(i, j, k))
+                if table_keys[slot] == _EMPTY:
+                    continue
+                cell = table_cells[slot]
+                if used + starts[cell + 1] - starts[cell] > len(indices):
+                    return -1
+                for at in range(starts[cell], starts[cell + 1]):
+                    p = order[at]
+                    dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+                    squared = dx * dx + dy * dy + dz * dz
+                    if squared <= limit:
+                        indices[used], squares[used] = p, squared
+                        used += 1
+    return used

@@ -38,7 +38,7 @@ def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, most: 
     if normals.shape != points.shape:
         raise InputError(f"points {points.shape} and normals {normals.shape} must come in pairs")
     around = within_radius(build_cells(points, radius_mm), points, radius_mm, most)
-    simple = _simple_histograms(points, normals, around.starts, around.indices)
+    simple = _simple_histograms(points, normals, around.starts, around.indices, most is None)
     return _weighted_histograms(simple, around.starts, around.indices, around.squared_mm2)
 
 
@@ -49,21 +49,30 @@ def mirrored_fpfh(features: ArrayLike) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _simple_histograms(points, normals, starts, indices):
-    """SPFH: the angles of Eq 4 between each point and its neighbours, as percentages per bin."""
+def _simple_histograms(points, normals, starts, indices, mutual):
+    """SPFH: the angles of Eq 4 between each point and its neighbours, as percentages per bin.
+
+    The angles of a pair are the same seen from both its points: where neighbourhood is ``mutual``, one look serves two.
+    """
     histograms = np.zeros((len(points), 3 * BINS))
     for p in range(len(points)):
-        count = starts[p + 1] - starts[p] - 1
-        if count < 1:
-            continue
-        share = 100.0 / count
+        share = 100.0 / max(starts[p + 1] - starts[p] - 1, 1)
         for at in range(starts[p], starts[p + 1]):
-            if indices[at] == p:
+            q = indices[at]
+            if q == p or (mutual and q < p):
                 continue
-            theta, alpha, phi = _pair_angles(points, normals, p, indices[at])
-            histograms[p, _bin((theta + np.pi) / (2 * np.pi))] += share
-            histograms[p, BINS + _bin((alpha + 1) / 2)] += share
-            histograms[p, 2 * BINS + _bin((phi + 1) / 2)] += share
+            theta, alpha, phi = _pair_angles(points, normals, p, q)
+            a = _bin((theta + np.pi) / (2 * np.pi))
+            b = BINS + _bin((alpha + 1) / 2)
+            c = 2 * BINS + _bin((phi + 1) / 2)
+            histograms[p, a] += share
+            histograms[p, b] += share
+            histograms[p, c] += share
+            if mutual:
+                other = 100.0 / max(starts[q + 1] - starts[q] - 1, 1)
+                histograms[q, a] += other
+                histograms[q, b] += other
+                histograms[q, c] += other
     return histograms
 
 
