@@ -1,8 +1,10 @@
 """Mistakes between two scans that the scans themselves give away: other units, a mirrored export, swapped roles."""
 
+import re
+
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair
+from grinding_scene import arc_bead, pair, plate_height, scan, view
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.vision.detection import DetectOptions, detect
@@ -39,6 +41,23 @@ def test_swapped_scans_are_said_and_a_good_part_is_not(case):
     assert swapped.beads == ()
     same = pair(seed=12, n_points=30_000)
     assert detect(same.sample, same.test).beads == ()
+
+
+@pytest.mark.parametrize("factor", [0.98, 0.995, 1.01, 1.03])
+def test_another_scale_is_said_and_measured(case, factor):
+    with pytest.warns(GrindvisionWarning, match="than the sample: two scanners") as said:
+        detect(case.sample, case.test * factor)
+    sentence = next(str(one.message) for one in said if "than the sample" in str(one.message))
+    share, word = re.search(r"is ([\d.]+)% (larger|smaller)", sentence).groups()
+    assert 1 + float(share) / 100 * (1 if word == "larger" else -1) == pytest.approx(factor, abs=1.5e-3)
+
+
+def test_scans_that_hardly_overlap_are_said():
+    rng = np.random.default_rng(1)
+    left = scan(plate_height, view(0.15, (1.0, 0.3, 0.0)), 15_000, rng, window=(-100, -20, -70, 70))
+    right = scan(plate_height, view(0.47, (0.2, -0.5, 0.8)), 15_000, rng, window=(0, 100, -70, 70))
+    with pytest.warns(GrindvisionWarning, match="hardly fixes the pose"):
+        detect(left, right)
 
 
 def test_real_scans_of_one_part_raise_no_doubt(real_data):

@@ -15,7 +15,7 @@ from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.difference import Difference, find_difference
-from grindvision.vision.doubts import check_same_unit, mirrored_refusal, missing_material
+from grindvision.vision.doubts import check_same_unit, doubts, mirrored_refusal
 from grindvision.vision.icp import FineRegistration, icp_planes
 from grindvision.vision.sac_ia import propose_poses
 from grindvision.vision.scan import Scan, prepare_pair, reversed_scan
@@ -97,7 +97,7 @@ def detect(
             part; a bead that branches.
 
     Warns:
-        GrindvisionWarning: nothing stands out, but material is missing; a small piece that cannot be followed.
+        GrindvisionWarning: something speaks against the result (``doubts``); a small piece that cannot be followed.
     """
     options = DetectOptions() if options is None else options
     if options.points < 1:
@@ -124,10 +124,14 @@ def detect(
     clock.lap("icp")
     difference = find_difference(good, seen, registration)
     clock.lap("difference")
-    beads = _follow(difference, options.points)
+    said = doubts(good, seen, registration, difference)
+    try:
+        beads = _follow(difference, options.points)
+    except DegenerateError as error:
+        raise DegenerateError("; and ".join((str(error), *said))) from None
     clock.lap("path")
-    if not beads and (missing := missing_material(good, seen, registration)):
-        warnings.warn(missing, GrindvisionWarning, stacklevel=2)
+    for sentence in said:
+        warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Detection(good, seen, coarse, registration, difference, beads, clock.laps_s)
 
 

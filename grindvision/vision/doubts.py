@@ -1,4 +1,4 @@
-"""Mistakes that a comparison of two scans can tell by itself: other units, a mirrored scan, sample and test swapped."""
+"""Mistakes that two scans give away by themselves: other units or scale, a mirror image, swapped roles, no overlap."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
-from grindvision.geometry import inverse, move_points
+from grindvision.geometry import inverse, move_points, rotation_about
 from grindvision.geometry.neighbours import bounds
-from grindvision.vision.difference import find_difference
+from grindvision.vision.difference import Difference, find_difference
+from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
-from grindvision.vision.scan import Scan
+from grindvision.vision.scan import Scan, surface_in_frame
 
 Floats = NDArray[np.float64]
+
+#: Above so many times the noise, the level of detection shows a pose that the scans hardly fix.
+MOST_TIMES_NOISE = 20.0
+
+#: Two sound scanners agree on a length to about a thousandth; this is four times as much.
+MOST_SCALE = 0.004
 
 #: Scans whose extents differ by more than this factor do not show the same part in the same unit.
 MOST_TIMES_LARGER = 5.0
@@ -57,7 +64,63 @@ def mirrored_refusal(
     )
 
 
-def missing_material(sample: Scan, test: Scan, registration: FineRegistration) -> str:
+def doubts(sample: Scan, test: Scan, registration: FineRegistration, difference: Difference) -> tuple[str, ...]:
+    """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_sample_test."""
+    found = []
+    noise = float(max(np.median(scan.surfels.noise_mm) for scan in (sample, test)))
+    level = difference.level_of_detection_mm
+    if level > MOST_TIMES_NOISE * noise:
+        found.append(
+            f"the level of detection, {level:.2g} mm, is {level / max(noise, 1e-9):.0f} times the noise of the scans:"
+            f" their overlap ({registration.overlap:.0%}) hardly fixes the pose; scan with more overlap"
+        )
+    scale, deviation = relative_scale(sample, test, registration)
+    if abs(scale - 1) > max(MOST_SCALE, 5 * deviation):
+        found.append(
+            f"the test scan is {abs(scale - 1):.1%} {'larger' if scale > 1 else 'smaller'} than the sample: two"
+            " scanners, an old calibration or a warm part; what stands out may be nothing else, so mend that first"
+        )
+    if not difference.clusters and (missing := _missing_material(sample, test, registration)):
+        found.append(missing)
+    return tuple(found)
+
+
+def relative_scale(
+    sample: Scan, test: Scan, registration: FineRegistration, surfels: int = 2000, steps: int = 12
+) -> tuple[float, float]:
+    """How many times larger the test scan is than the sample, and the standard deviation of that for random noise.
+
+    Point-to-plane steps for shift, turn and scale from the registered pose, with Tukey's weights: beads do not count.
+    """
+    good = surface_in_frame(sample.surfels, inverse(registration.T_target_source))
+    chosen = np.random.default_rng(0).permutation(len(test.surfels))[:surfels]
+    places, facing = test.surfels.points[chosen], test.surfels.normals[chosen]
+    scale, deviation = 1.0, np.inf
+    for _ in range(steps):
+        heights, normals, _ = heights_above(good, places, 2 * good.grid.size_mm)
+        shown = np.isfinite(heights) & ((facing * normals).sum(axis=1) > 0.7)
+        if shown.sum() < 50:
+            return 1.0, np.inf
+        centre = places[shown].mean(axis=0)
+        away, up, left = places[shown] - centre, normals[shown], -heights[shown]
+        design = np.column_stack([up, np.cross(away, up), (away * up).sum(axis=1)])
+        weights = np.ones(len(left))
+        for _ in range(4):
+            square = (design * weights[:, None]).T @ design
+            change = np.linalg.lstsq(square, (design * weights[:, None]).T @ left, rcond=1e-12)[0]
+            rest = left - design @ change
+            spread = 1.4826 * float(np.median(np.abs(rest))) + 1e-9
+            weights = np.clip(1 - (rest / (4.685 * spread)) ** 2, 0, None) ** 2
+        scale *= 1 + change[6]
+        deviation = spread * float(np.sqrt(np.linalg.pinv(square, hermitian=True)[6, 6]))
+        turn = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
+        places = (1 + change[6]) * (places - centre) @ turn.T + centre + change[:3]
+        if abs(change[6]) < MOST_SCALE / 20:
+            break
+    return 1 / scale, deviation
+
+
+def _missing_material(sample: Scan, test: Scan, registration: FineRegistration) -> str:
     """In words, where the sample stands out of the test part: material is missing, or the two scans were swapped.
 
     Empty where nothing does. ``registration`` is T_sample_test.
