@@ -194,7 +194,7 @@ def test_the_pose_errs_as_its_covariance_says(close, bend_mm):
         to_centre = rigid(None, -found.centre_mm)
         motion = to_centre @ found.T_target_source @ inverse(case.T_sample_test) @ inverse(to_centre)
         error = np.array([*motion[:3, 3], motion[2, 1], motion[0, 2], motion[1, 0]])
-        normalised.append(np.linalg.solve(np.linalg.cholesky(found.covariance), error))
+        normalised.append(np.linalg.solve(np.linalg.cholesky(found.total_covariance), error))
     assert 0.4 < np.sqrt(np.mean(np.square(normalised))) < (1.5 if bend_mm == 0 else 3.0)
 
 

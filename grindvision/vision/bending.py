@@ -34,14 +34,14 @@ def refine_bent(
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 
     The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent,
-    not single residuals. It also holds the part of the bending that looks like a motion, a constant and two slopes,
-    which cannot be seen: expected as large as the bends that can. What moves both scans alike (a scale error, an offset
-    of the depth) leaves no trace in either and is not in it.
+    not single residuals. The hidden covariance guesses, from the bends that show, at the part of the field that looks
+    like a motion: a constant and two slopes. What moves both scans alike (a scale error, an offset of the depth) leaves
+    no trace in either and is in none of them.
     """
     source, normals = np.asarray(source, dtype=float), np.asarray(source_normals, dtype=float)
     size = target.grid.size_mm
     transform = start.T_target_source
-    prior = 1 * start.rms_mm
+    prior = start.rms_mm
     for _ in range(iterations):
         moved = move_points(transform, source)
         residual, up, variance = heights_above(target, moved, 2 * size)
@@ -54,10 +54,10 @@ def refine_bent(
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
     mistaken = _solved(information, design.T @ (weights[:, None] * hidden)) * _hidden_sizes(solution[6:])
     covariance = _block_covariance(moved, design, residual + design @ solution, weights, information)
-    covariance += mistaken @ mistaken.T
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
         iterations=start.iterations + iterations, covariance=covariance[:6, :6],
+        hidden_covariance=mistaken[:6] @ mistaken[:6].T,
         mean_squares_mm2=np.append(start.mean_squares_mm2, spread**2),
     )  # fmt: skip
 
@@ -75,10 +75,11 @@ def _fields(places: Floats) -> tuple[Floats, Floats]:
 
 def _hidden_sizes(bends: Floats) -> Floats:
     """Sizes (3,) in mm of the constant and the two slopes, from the bends (7,): a smooth field grows from degree to
-    degree towards the low ones as it does from degree three to two, and it does not shrink."""
+    degree towards the low ones as it does from degree three to two; by once to twice, as seven terms do not tell it
+    better."""
     degrees = np.array([a + b for a, b in POWERS])
     second, third = ((bends[degrees == degree] ** 2).mean() for degree in (2, 3))
-    growth = max(1.0, second / max(third, 1e-12))
+    growth = np.clip(second / max(third, 1e-12), 1.0, 4.0)
     return np.sqrt(second * growth ** np.array([2.0, 1.0, 1.0]))
 
 

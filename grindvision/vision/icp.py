@@ -1,13 +1,13 @@
 """Iterative closest points (section 3.4): point to point as the paper stops it, point to plane, generalised ICP.
 
-A result carries ``T_target_source``, the rms of what was matched, the overlap, and the covariance of the pose. The
-covariance holds for independent noise; a smooth distortion of the scanner adds to it.
+A result carries ``T_target_source``, the rms of what was matched, the overlap, and the covariance of the pose. Here the
+covariance holds for independent noise; ``bending`` looks at the residuals' correlation and at smooth distortion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -28,6 +28,7 @@ class FineRegistration:
     ``rms_mm`` of the matched residuals (along the normal where planes are used); ``overlap``: matched share of the
     source; ``information`` (6, 6): sum of the Jacobians' squares for a shift (mm) followed by a turn (rad) about
     ``centre_mm``, target frame; ``covariance`` its inverse times the residuals' variance, NaN where singular;
+    ``hidden_covariance`` (6, 6): what distortion may add that looks like a motion and so shows in no residual;
     ``mean_squares_mm2``: the mean squared residual after each iteration.
     """
 
@@ -40,6 +41,12 @@ class FineRegistration:
     information: Floats
     covariance: Floats
     mean_squares_mm2: Floats
+    hidden_covariance: Floats = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def total_covariance(self) -> Floats:
+        """Covariance (6, 6) of the pose between the parts; ``covariance`` is that of the pose between their scans."""
+        return self.covariance + self.hidden_covariance
 
     def __str__(self) -> str:
         state = "converged" if self.converged else "stopped"

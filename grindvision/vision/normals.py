@@ -12,6 +12,9 @@ from grindvision.geometry.neighbours import bounds, build_cells, within_radius
 
 Floats = NDArray[np.float64]
 
+COS_EDGE_ON = float(np.cos(np.radians(75)))
+"""Cosine of the angle between normal and ray from which on scanners see next to nothing."""
+
 
 def estimate_normals(
     points: ArrayLike, radius_mm: float, most: int | None = None, viewpoint_mm: ArrayLike | None = None
@@ -53,17 +56,25 @@ def orient_by_neighbours(points: ArrayLike, normals: ArrayLike, radius_mm: float
     return _propagated(points, normals, around.starts, around.indices)
 
 
-def guess_viewpoint(points: ArrayLike) -> Floats | None:
+def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floats | None:
     """The origin, when it stands as far off the cloud as a scanner would (half the cloud's diagonal); otherwise None.
 
     Clouds that come in the scanner's own frame have the scanner at the origin; clouds in another frame do not tell.
+    With ``normals`` (N, 3) of any sign, an origin from which half the surface is seen edge-on is no scanner either.
     """
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         raise DegenerateError("an empty cloud has no viewpoint")
     low, high = bounds(np.ascontiguousarray(points))
     gap = np.maximum(np.maximum(low, -high), 0)
-    return np.zeros(3) if np.linalg.norm(gap) > 0.5 * np.linalg.norm(high - low) else None
+    if np.linalg.norm(gap) <= 0.5 * np.linalg.norm(high - low):
+        return None
+    if (
+        normals is not None
+        and np.median(np.abs((points * normals).sum(axis=1)) / np.linalg.norm(points, axis=1)) < COS_EDGE_ON
+    ):
+        return None
+    return np.zeros(3)
 
 
 @njit(cache=True, nogil=True)
@@ -128,6 +139,7 @@ def _plane_normals(points, starts, indices):
 @njit(cache=True, nogil=True)
 def _propagated(points, normals, starts, indices):
     """Kruskal's tree over the neighbour edges, flattest first, with the sign relation kept in a union-find forest."""
+    nearly_flat = 0.1
     edges = len(indices)
     first, second, turn = np.empty(edges, np.int64), np.empty(edges, np.int64), np.empty(edges)
     for p in range(len(points)):
@@ -147,18 +159,26 @@ def _propagated(points, normals, starts, indices):
             parent[root_q] = root_p
             sign[root_q] = sign_p * sign_q * (1.0 if dot >= 0 else -1.0)
     signs, roots = np.empty(len(points)), np.empty(len(points), np.int64)
-    middle, count, bulge = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points))
+    middle, count = np.zeros((len(points), 3)), np.zeros(len(points))
+    bulge, size, up = np.zeros(len(points)), np.zeros(len(points)), np.zeros(len(points))
     for p in range(len(points)):
         roots[p], signs[p] = _root(parent, sign, p)
         middle[roots[p]] += points[p]
         count[roots[p]] += 1
     for p in range(len(points)):
         root = roots[p]
+        squared = 0.0
         for k in range(3):
-            bulge[root] += signs[p] * normals[p, k] * (points[p, k] - middle[root, k] / count[root])
+            away = points[p, k] - middle[root, k] / count[root]
+            bulge[root] += signs[p] * normals[p, k] * away
+            squared += away * away
+        size[root] += np.sqrt(squared)
+        up[root] += signs[p] * normals[p, 2]
     result = np.empty_like(normals)
     for p in range(len(points)):
-        result[p] = normals[p] * (signs[p] if bulge[roots[p]] >= 0 else -signs[p])
+        root = roots[p]
+        outside = bulge[root] if abs(bulge[root]) > nearly_flat * size[root] else up[root]
+        result[p] = normals[p] * (signs[p] if outside >= 0 else -signs[p])
     return result
 
 

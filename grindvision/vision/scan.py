@@ -73,8 +73,8 @@ def prepare_scan(
         feature_voxels: FPFH radius in voxels.
     """
     points = np.asarray(points, dtype=float)
-    viewpoint = guess_viewpoint(points) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
     fine = build_surfels(points, resolution.surfel_mm)
+    viewpoint = guess_viewpoint(fine.points, fine.normals) if viewpoint_mm is None else np.asarray(viewpoint_mm, float)
     coarse = build_surfels(fine.points, resolution.voxel_mm)
     voxel = resolution.voxel_mm
     normals = estimate_normals(coarse.points, 2.5 * voxel, 40, viewpoint)
