@@ -4,6 +4,7 @@ from grindvision.book.answers import answer, scoreboard, verdicts
 from grindvision.book.exercises.checking import check, progress
 from grindvision.book.figures import save_figure, save_scene, save_table
 from grindvision.book.session import COLOURS, fast, provenance, start
+from grindvision.book.sliders import slider
 
 __all__ = [
     "COLOURS",
@@ -16,6 +17,7 @@ __all__ = [
     "save_scene",
     "save_table",
     "scoreboard",
+    "slider",
     "start",
     "verdicts",
 ]
