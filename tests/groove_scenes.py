@@ -6,7 +6,8 @@ from grindvision.geometry import random_rotation
 
 
 def grid(length_mm=120.0, breadth_mm=80.0, spacing_mm=0.7):
-    x, y = np.arange(-length_mm / 2, length_mm / 2, spacing_mm), np.arange(-breadth_mm / 2, breadth_mm / 2, spacing_mm)
+    """Places x, y (N, 2) of a plate, the rows half a spacing off the middle, so that none runs along an edge."""
+    x, y = (np.arange((spacing_mm - span) / 2, span / 2, spacing_mm) for span in (length_mm, breadth_mm))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 

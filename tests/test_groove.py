@@ -5,12 +5,13 @@ import pytest
 from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 from scipy.spatial import cKDTree
 
+from grindvision.book import waypoints
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.vision.groove import find_grooves
 from grindvision.vision.groove_profile import Corners, profile_height, profile_slopes
 from grindvision.vision.height_field import closed, rasterise
-from grindvision.vision.seam_curve import build_curve, lay_straight, smooth_along
+from grindvision.vision.seam_curve import build_curve, lay_straight
 
 
 @pytest.mark.parametrize("kind", ["line", "curve", "box", "cylinder"])
@@ -21,6 +22,26 @@ def test_weld_pieces_overlap(kind):
     assert len(found.grooves) == 1
     assert overlap(found.labels, scene.labels) > 0.925
     assert np.median(found.grooves[0].width_mm) == pytest.approx(12, abs=0.6)
+
+
+def test_the_ends_of_the_root_are_found_on_a_flank_too():
+    """The pipe's flanks, where the camera looks nearly along the surface: no end way point goes astray."""
+    for seed in (11, 77):
+        scene = weld_scene("cylinder", np.random.default_rng([seed, 2, 3]), every=2)
+        root = find_grooves(scene.points).grooves[0].root
+        shown = scene.root_mm + waypoints.camera_errors(scene)
+        assert cKDTree(shown).query(root)[0].max() < 1.5
+        assert cKDTree(root).query(scene.root_mm)[0].max() < 8.0
+
+
+def test_an_oblique_end_reaches_as_far_as_the_root_does(rng):
+    """Where a plate's edge cuts the groove askew, one wall ends before the other; the root goes on straight."""
+    places = grid()
+    for height in (vee(places[:, 1]), -6 * np.cos(np.clip(places[:, 1] / 10, -0.5, 0.5) * np.pi) ** 2):
+        kept = places[:, 0] + places[:, 1] < 40
+        root = find_grooves(cloud(places[kept], height[kept], rng)).grooves[0].root
+        assert np.abs(root[:, 1]).max() < 0.6
+        assert root[:, 0].max() == pytest.approx(40, abs=1.5) and root[:, 0].min() == pytest.approx(-60, abs=1.5)
 
 
 def test_width_depth_root_of_a_known_groove(rng):
@@ -215,15 +236,3 @@ def test_coordinates_along_a_circle(rng):
     np.testing.assert_allclose(strip.along, 40 * angle[strip.index], atol=0.1)
     np.testing.assert_allclose(strip.across, 40 - radius[strip.index], atol=0.02)
     np.testing.assert_allclose(strip.up, height[strip.index], atol=1e-9)
-
-
-def test_smoothing_keeps_lines_and_bridges_gaps(rng):
-    line = np.column_stack([np.linspace(0, 5, 60), np.linspace(3, -1, 60)])
-    weights = np.ones(60)
-    weights[20:30] = 0
-    noisy = line.copy()
-    noisy[20:30] = 99
-    np.testing.assert_allclose(smooth_along(noisy, weights, 10, 1), line, atol=1e-4)
-    spoilt = line.copy()
-    spoilt[45] += 20
-    np.testing.assert_allclose(smooth_along(spoilt, np.ones(60), 10, 1, robust=True), line, atol=0.05)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.vision.groove_fit import DetectedGroove
+from grindvision.vision.groove_lines import DetectedGroove
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
-from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, DetectedGroove, fit_groove
+from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, fit_groove
+from grindvision.vision.groove_lines import DetectedGroove
 from grindvision.vision.height_field import field_frames, spacing_of
 from grindvision.vision.valley import find_valleys
 

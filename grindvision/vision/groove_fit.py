@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, label
 
-from grindvision.geometry import inverse, move_points, turn_vectors, vector_angle
+from grindvision.vision.groove_lines import SHARP, DetectedGroove, groove_lines, one_round, weights_of
 from grindvision.vision.groove_profile import (
-    BEND,
     DEPTH,
     LEFT,
     LEVEL,
@@ -22,9 +21,9 @@ from grindvision.vision.groove_profile import (
     Sections,
     fit_profiles,
     gather_sections,
-    profile_height,
 )
-from grindvision.vision.seam_curve import SeamCurve, Strip, build_curve, extended, lay_straight, smooth_along
+from grindvision.vision.seam_curve import SeamCurve, build_curve, extended, lay_straight
+from grindvision.vision.seam_smoothing import smooth_along
 from grindvision.vision.valley import Valley
 
 Floats = NDArray[np.float64]
@@ -38,62 +37,15 @@ LEAST_WALL_SLOPE = 0.3
 LEAST_LENGTH = 2.0
 #: A station belongs to the groove while its depth is above this share of the median depth.
 LEAST_DEPTH_SHARE = 0.5
-#: The profile must fit the points to this share of the depth.
-WORST_FIT_SHARE = 0.12
+#: A section's misfit is at most so many times the usual one; below the first share of the depth it is always good
+#: enough, above the second never.
+WORST_FIT_RATIO, LEAST_FIT_SHARE, WORST_FIT_SHARE = 3.0, 0.03, 0.12
 #: The surface beside the groove stays so near to the curve that was laid through it: share of the depth, and slope.
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
-#: A groove is at least so many standard deviations of its points' scatter deep.
-LEAST_DEPTH_IN_SCATTER = 3.0
-#: The middle of the last station at an end holds at least this share of the usual number of points.
-COVERED_SHARE = 0.75
-#: The two ends of a ring point the same way within this angle.
-RING_TURN_RAD = np.radians(50)
-#: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
-SHARP = 0.004
 #: Passes of fitting and prolonging at most.
 _PASSES = 10
-
-
-@dataclass(frozen=True)
-class DetectedGroove:
-    """One groove: its points and its lines along the seam, in the cloud's frame, mm.
-
-    ``members`` (K,) index the points of the cloud between its edges. At S stations, ``step_mm`` apart: ``root`` the
-    line where the walls meet (of a blunt groove the depth-weighted middle), ``left`` and ``right`` the edges, and unit
-    ``normals`` of the surface around, all (S, 3).
-    ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
-    standard deviation of the root across the seam. ``edges_seen`` is the share of stations with surface on both sides.
-    A ``closed`` groove is a ring: its last station is followed by its first.
-    """
-
-    members: Integers
-    root: Floats
-    left: Floats
-    right: Floats
-    normals: Floats
-    width_mm: Floats
-    depth_mm: Floats
-    root_deviation_mm: Floats
-    step_mm: float
-    edges_seen: float
-    closed: bool = False
-
-    @property
-    def length_mm(self) -> float:
-        """Length of the root line, all round for a closed groove."""
-        line = np.concatenate([self.root, self.root[:1]]) if self.closed else self.root
-        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-
-    @property
-    def volume_mm3(self) -> float:
-        """Volume between the walls and the surface around, from the median cross-section."""
-        return float(np.median(self.width_mm * self.depth_mm) / 2 * self.length_mm)
-
-    def __str__(self) -> str:
-        size = f"{np.median(self.width_mm):.1f} mm wide, {np.median(self.depth_mm):.1f} mm deep"
-        return f"groove of {len(self.members):,} points, {size}, {self.length_mm:.0f} mm long"
 
 
 def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm: float) -> DetectedGroove | None:
@@ -134,10 +86,10 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         length += grown
         if (number >= 2 and (ring or abs(grown) < 2 * curve.step_mm)) or number == _PASSES - 1:
             break
-        curve = _part(_recentred(curve, fit, first, last, width), first, last)
-        turns, ring = _one_round(curve.stations, width)
+        curve = _recentred(curve, fit, first, last, width)
+        turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
-    return _finished(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), noise)
+    return groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise)
 
 
 def _part(curve: SeamCurve, first: int, last: int) -> SeamCurve:
@@ -184,7 +136,9 @@ def _stations_inside(
     points = np.where(between, sections.weight, 0).sum(axis=1)
     seen = points > 0.25 * np.median(points[points > 0]) if (points > 0).any() else points > 0
     deep = theta[:, DEPTH] > LEAST_DEPTH_SHARE * depth
-    fitting = fit.noise_mm < WORST_FIT_SHARE * np.maximum(theta[:, DEPTH], 1e-9)
+    usual = float(np.median(fit.noise_mm[seen & deep])) if (seen & deep).any() else 0.0
+    worst = np.clip(WORST_FIT_RATIO * usual, LEAST_FIT_SHARE * depth, WORST_FIT_SHARE * depth)
+    fitting = fit.noise_mm < worst
     sure = fit.deviation[:, DEPTH] < LEAST_DEPTH_SHARE * theta[:, DEPTH]
     near = (np.abs(theta[:, LEVEL]) < looseness * WORST_LEVEL_SHARE * depth) & (
         np.abs(theta[:, TILT]) < looseness * WORST_TILT
@@ -204,142 +158,26 @@ def _stations_inside(
     return int(run[0]), int(run[-1]) + 1
 
 
-def _smooth(
-    fit: ProfileFit,
-    first: int,
-    last: int,
-    values: Floats,
-    parameter: int,
-    length: float,
-    step: float,
-    robust: bool = True,
-) -> Floats:
-    """Smooth values (S,) along the seam, weighted by how sure the fit is; stations outside the groove do not count."""
-    floor = 0.3 * np.median(fit.deviation[first:last, parameter])
-    weight = np.zeros(len(values))
-    weight[first:last] = 1 / (fit.deviation[first:last, parameter] ** 2 + floor**2)
-    return smooth_along(values, weight, length, step, robust=robust)
-
-
 def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: float) -> SeamCurve:
-    """Move the curve onto the surface above the root and turn its up direction onto the surface's normal."""
-    theta, step = fit.parameters, curve.step_mm
-    middle = (theta[:, LEFT] + theta[:, RIGHT]) / 2
-    shift = _smooth(fit, first, last, middle, ROOT, width / 2, step, robust=False)
-    level = _smooth(fit, first, last, theta[:, LEVEL], LEVEL, width / 2, step, robust=False)
-    tilt = _smooth(fit, first, last, theta[:, TILT], TILT, width, step, robust=False)
-    stations = curve.stations + shift[:, None] * curve.across + (level + tilt * shift)[:, None] * curve.up
-    return SeamCurve(stations, step, curve.along, curve.across, curve.up - tilt[:, None] * curve.across)
+    """Stations ``first`` to ``last`` moved onto the surface above the root, up turned onto the surface's normal.
 
-
-def _finished(
-    cloud: Floats,
-    T_field_cloud: Floats,
-    curve: SeamCurve,
-    strip: Strip,
-    sections: Sections,
-    fit: ProfileFit,
-    run: tuple[int, int],
-    noise: float,
-) -> DetectedGroove | None:
-    """Smooth the fitted lines along the seam, take the points between the edges, and return to the cloud's frame.
-
-    None where the points scatter about the section too much for its depth.
+    Positions and directions are smoothed as they stand, not only their changes: a kink, once in the curve, would
+    otherwise turn the sections there and come back worse in the next pass.
     """
-    first, last = run
-    theta, step = fit.parameters, curve.step_mm
-    width = float(np.median((theta[:, RIGHT] - theta[:, LEFT])[first:last]))
-    widths = _smooth(fit, first, last, theta[:, RIGHT] - theta[:, LEFT], RIGHT, 2 * width, step)
-    middle = _smooth(fit, first, last, (theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT, width / 2, step)
-    if max(fit.corners.root_mm, fit.corners.floor_mm) > SHARP * width * 1.5:
-        theta = theta.copy()
-        theta[:, ROOT] = _depth_centres(sections, theta)
-    smooth = np.empty_like(theta)
-    for parameter, length in ((LEVEL, 0.3), (TILT, 0.5), (BEND, 2.0), (DEPTH, 0.5), (ROOT, 0.5)):
-        smooth[:, parameter] = _smooth(fit, first, last, theta[:, parameter], parameter, length * width, step)
-    smooth[:, LEFT], smooth[:, RIGHT] = middle - widths / 2, middle + widths / 2
-    smooth[:, ROOT] = np.clip(smooth[:, ROOT], smooth[:, LEFT] + 0.1 * width, smooth[:, RIGHT] - 0.1 * width)
-    lines = np.stack([smooth[:, LEFT], smooth[:, ROOT], smooth[:, RIGHT]], axis=1)
-    heights = profile_height(lines, smooth, fit.corners)
-    at = np.arange(len(curve)) * step
+    theta, step = fit.parameters[first:last], curve.step_mm
 
-    def along(values: Floats) -> Floats:
-        return np.interp(strip.along, at, values)
+    def smooth(values: Floats, parameter: int, length: float) -> Floats:
+        weight = weights_of(fit.deviation[first:last, parameter])
+        return smooth_along(values, weight, length, step)
 
-    between = (strip.across >= along(smooth[:, LEFT])) & (strip.across <= along(smooth[:, RIGHT]))
-    ends = (strip.along >= (first - 0.5) * step) & (strip.along <= (last - 0.5) * step)
-    depth = float(np.median(smooth[first:last, DEPTH]))
-    inside = between & ends
-    sections_here = np.stack([along(smooth[:, parameter]) for parameter in range(7)], axis=1)[inside]
-    off = strip.up[inside] - profile_height(strip.across[inside, None], sections_here, fit.corners)[:, 0]
-    if len(off) == 0 or depth < LEAST_DEPTH_IN_SCATTER * 1.4826 * np.median(np.abs(off)):
-        return None
-    floor = along(smooth[:, LEVEL]) + along(smooth[:, TILT]) * strip.across - 1.3 * depth - 4 * noise
-    members = np.sort(strip.index[inside & (strip.up > floor)])
-    placed = curve.stations[:, None, :] + lines[:, :, None] * curve.across[:, None, :]
-    core = between & (np.abs(strip.across - along(smooth[:, ROOT])) < width / 5)
-    first, last = _covered(strip.along[core], first, last, step, width)
-    placed = (placed + heights[:, :, None] * curve.up[:, None, :])[first:last]
-    normals = (curve.up - smooth[:, TILT, None] * curve.across)[first:last]
-    T_cloud_field = inverse(T_field_cloud)
-    left, root, right = (move_points(T_cloud_field, placed[:, k]) for k in range(3))
-    outer = np.abs(sections.across - middle[:, None])
-    beside = (outer > widths[:, None] / 2) & (outer < 0.75 * widths[:, None]) & (sections.weight > 0)
-    both = ((beside & (sections.across < 0)).any(axis=1) & (beside & (sections.across > 0)).any(axis=1))[first:last]
-    turns, closed = _one_round(root, width)
-    return DetectedGroove(
-        members,
-        root[:turns],
-        left[:turns],
-        right[:turns],
-        turn_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True))[:turns],
-        widths[first:last][:turns],
-        smooth[first:last, DEPTH][:turns],
-        fit.deviation[first:last, ROOT][:turns],
+    shift = smooth((theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT, width / 2)
+    level, tilt = smooth(theta[:, LEVEL], LEVEL, width / 2), smooth(theta[:, TILT], TILT, width)
+    here = slice(first, last)
+    across, up = curve.across[here], curve.up[here]
+    stations = curve.stations[here] + shift[:, None] * across + (level + tilt * shift)[:, None] * up
+    even = np.ones(last - first)
+    return build_curve(
+        smooth_along(stations, even, width / 2, step),
+        smooth_along(up - tilt[:, None] * across, even, width / 2, step),
         step,
-        float(both.mean()),
-        closed,
     )
-
-
-def _depth_centres(sections: Sections, theta: Floats) -> Floats:
-    """Depth-weighted centre (S,) across the seam of the points between the edges: the line of a blunt groove."""
-    surface = theta[:, LEVEL, None] + theta[:, TILT, None] * sections.across
-    inside = (sections.across > theta[:, LEFT, None]) & (sections.across < theta[:, RIGHT, None])
-    depth = sections.weight * np.where(inside, np.maximum(surface - sections.up, 0), 0)
-    return (depth * sections.across).sum(axis=1) / np.maximum(depth.sum(axis=1), 1e-9)
-
-
-def _covered(along: Floats, first: int, last: int, step: float, width: float) -> tuple[int, int]:
-    """Cut stations off both ends where the middle of the groove already lies beyond the part.
-
-    A station there holds few points against those a little farther in; the density may well fall slowly along the seam.
-    """
-    # Stations can be finer than the rows of points; two of them together always hold about the same number.
-    counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)
-    pairs = counts[:-1] + counts[1:]
-    inward = max(int(width / step), 3)
-    while last - first > 2 * inward and pairs[first] < COVERED_SHARE * np.median(pairs[first + 1 : first + inward]):
-        first += 1
-    while last - first > 2 * inward and pairs[last - 2] < COVERED_SHARE * np.median(pairs[last - inward : last - 2]):
-        last -= 1
-    return first, last
-
-
-def _one_round(line: Floats, width: float) -> tuple[int, bool]:
-    """How many stations of a line (S, 3) make one round of a ring, and whether it is one.
-
-    A ring's line comes back to its start, or stops shortly before it and points there.
-    """
-    away = np.linalg.norm(line - line[0], axis=1)
-    far = np.flatnonzero(away > 2 * width)
-    back = np.flatnonzero(away < width / 2)
-    back = back[back > far[0]] if len(far) else back[:0]
-    if len(back):
-        back = back[: int(np.argmax(np.diff(back, append=len(line) + 2) > 1)) + 1]
-        return int(back[np.argmin(away[back])]), True
-    reach = min(10, len(line) - 1)
-    start, end, gap = line[reach] - line[0], line[-1] - line[-1 - reach], line[0] - line[-1]
-    meets = len(far) > 0 and away[-1] < 1.5 * width
-    onward = vector_angle(start, end) < RING_TURN_RAD and vector_angle(gap, end) < RING_TURN_RAD
-    return len(line), bool(meets and onward)

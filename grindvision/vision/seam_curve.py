@@ -1,4 +1,4 @@
-"""A curve along a seam: evenly spaced stations with a frame each, smoothing along it, and the cloud laid straight."""
+"""A curve along a seam: evenly spaced stations with a frame each, and the cloud laid straight."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solveh_banded
+from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -43,43 +42,6 @@ class Strip:
     along: Floats
     across: Floats
     up: Floats
-
-
-def smooth_along(
-    values: ArrayLike, weights: ArrayLike, length_mm: float, step_mm: float, robust: bool = False
-) -> Floats:
-    """Whittaker smoothing of evenly spaced values (S, K): least squares with penalised second differences.
-
-    Waves longer than about ``2 pi length_mm`` pass. Values of weight zero are bridged, ends continued straight.
-    ``robust`` lowers the weight of values that stand out (Tukey's biweight).
-
-    Args:
-        values: (S,) or (S, K).
-        weights: (S,), not negative.
-    """
-    values = np.asarray(values, dtype=float)
-    columns = values.reshape(len(values), -1)
-    base = np.asarray(weights, dtype=float)
-    base = base / max(base.max(), 1e-300)
-    stiffness = (length_mm / step_mm) ** 4
-    size = len(columns)
-    bands = np.zeros((3, size))
-    for offset, factor in enumerate((1.0, -2.0, 1.0)):
-        bands[2, offset : size - 2 + offset] += factor**2
-        if offset < 2:
-            bands[1, 1 + offset : size - 1 + offset] += -2.0
-    bands[0, 2:] += 1.0
-    result = np.empty_like(columns)
-    for k in range(columns.shape[1]):
-        weight = base.copy()
-        for _ in range(5 if robust else 1):
-            system = stiffness * bands
-            system[2] += weight + 1e-9
-            result[:, k] = solveh_banded(system, weight * columns[:, k], check_finite=False)
-            off = np.abs(columns[:, k] - result[:, k])
-            scale = 4.7 * 1.4826 * np.median(off[base > 0]) if (base > 0).any() else 0.0
-            weight = base * np.clip(1 - (off / max(scale, 1e-9)) ** 2, 0, 1) ** 2
-    return result.reshape(values.shape)
 
 
 def build_curve(path: Floats, up: Floats, step_mm: float) -> SeamCurve:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
-from grindvision.vision.groove_fit import DetectedGroove
+from grindvision.vision.groove_lines import DetectedGroove
 
 Floats = NDArray[np.float64]
 

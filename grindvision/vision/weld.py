@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.vision.gfh_groove import GfhSettings, find_groove_gfh
 from grindvision.vision.groove import find_grooves
-from grindvision.vision.groove_fit import DetectedGroove
+from grindvision.vision.groove_lines import DetectedGroove
 from grindvision.vision.seam_path import SeamPath, root_path, slab_path
 
 Flags = NDArray[np.bool_]
