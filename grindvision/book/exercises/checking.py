@@ -118,7 +118,7 @@ def exercises_of(chapter: str) -> tuple[Exercise, ...]:
     except ModuleNotFoundError as error:
         if error.name != home:
             raise
-        raise InputError(f"there are no exercises to chapter {chapter!r}; 01 to 11 have some") from None
+        raise InputError(f"there are no exercises to chapter {chapter!r}; 01 to 12 have some") from None
 
 
 def exercise(number: str) -> Exercise:
