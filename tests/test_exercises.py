@@ -11,6 +11,7 @@ import pytest
 from grindvision import book
 from grindvision.book.chapters import chapters
 from grindvision.book.exercises.checking import SLIPS, Exercise, exercises_of
+from grindvision.book.exercises.guide import FIRST, GUIDE, LAST, mistakes_block, write_guide
 from grindvision.book.exercises.student_copies import MASTERS, STUDENTS, student_copy, write_student_copies
 from grindvision.errors import FileError, InputError
 
@@ -73,6 +74,19 @@ def test_student_copies_are_fresh(tmp_path: Path) -> None:
     for path in made:
         committed = (STUDENTS / path.name).read_text(encoding="utf-8")
         assert path.read_text(encoding="utf-8") == committed, "stale: run python -m grindvision.book.exercises"
+
+
+def test_the_teachers_guide_lists_every_exercise_and_every_mistake(tmp_path: Path) -> None:
+    text = GUIDE.read_text(encoding="utf-8")
+    assert mistakes_block(CHAPTERS) in text, "stale: run python -m grindvision.book.exercises"
+    by_hand = text.split(FIRST)[0]
+    assert [task.number for task in EXERCISES if f" {task.number} " not in by_hand] == []
+    (tmp_path / "guide.md").write_text(f"before\n{FIRST}\nold\n{LAST}\nafter\n", encoding="utf-8")
+    made = write_guide(["03"], tmp_path / "guide.md").read_text(encoding="utf-8")
+    assert made == f"before\n{mistakes_block(['03'])}\nafter\n"
+    (tmp_path / "guide.md").write_text("no marks", encoding="utf-8")
+    with pytest.raises(FileError, match="put them back"):
+        write_guide(["03"], tmp_path / "guide.md")
 
 
 @pytest.mark.parametrize("path", sorted(STUDENTS.glob("*.ipynb")), ids=lambda path: path.stem)

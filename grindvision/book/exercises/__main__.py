@@ -1,12 +1,14 @@
-"""``python -m grindvision.book.exercises``: make the student copies anew from the masters."""
+"""``python -m grindvision.book.exercises``: make the student copies, and the teacher's list of mistakes, anew."""
 
 import sys
 
+from grindvision.book.exercises.guide import write_guide
 from grindvision.book.exercises.student_copies import write_student_copies
 from grindvision.errors import GrindvisionError
 
 try:
-    for path in write_student_copies():
-        print(path)
+    copies = write_student_copies()
+    written = [*copies, write_guide(path.name[:2] for path in copies)]
 except GrindvisionError as error:
     sys.exit(f"exercises: {error}")
+print(*written, sep="\n")
