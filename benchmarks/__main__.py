@@ -62,8 +62,10 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
             print(f"  {note}")
         found = []
         for rounds in one.cases(plan):
-            found += race(there, rounds, one.judge)
-        table = report.table_of(found, one.accuracy)
+            found += race(there, rounds, one.judge, one.spare)
+        if one.stage:
+            found = [measured.without_reading() for measured in found]
+        table = report.table_of(found, one.accuracy, one.lap)
         notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
         report.write_race(folder, one.name, one.title, table, notes, facts, one.drawn)
 

@@ -14,6 +14,9 @@ Floats = NDArray[np.float64]
 WRONG_TURN_DEG, WRONG_SHIFT_MM = 5.0, 5.0
 """A first alignment farther off than this has failed."""
 
+WRONG_OVERLAP = 30.0
+"""A groove that overlaps the true one by less percent has not been found."""
+
 WRONG_PATH_MM, LEAST_SPAN = 2.0, 0.6
 """A path that lies farther from the ridge in the mean, or runs along less of it, does not follow the bead."""
 
@@ -54,6 +57,53 @@ def beside(points: Floats, line: Floats) -> tuple[Floats, Floats]:
     rows = np.arange(len(points))
     arcs = (np.cumsum(lengths) - lengths)[piece] + along[rows, piece] * lengths[piece]
     return away[rows, piece], arcs / lengths.sum()
+
+
+def judge_difference(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """The share of the bead's points that was found, and the overlap with them of all that was found, in percent.
+
+    The answer holds ``changed`` flags (N,) of the test scan, or the ``points`` (K, 3) of it that stand out.
+    """
+    bead = truth["on_bead"]
+    found = answer["changed"] if "changed" in answer else among(truth["points"], answer["points"])
+    share = float(100 * (found & bead).sum() / bead.sum())
+    return {"bead_percent": share, "overlap_percent": overlap_percent(found, bead), "failed": float(share < 50)}
+
+
+def judge_voxels(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """How far a centroid lies at most from that of the points of its voxel, with the answer's own lattice."""
+    points, size, origin = answer["points"], float(answer["size_mm"]), answer["origin"]
+    known = truth["points"]
+    cells, cell, count = np.unique(np.floor((known - origin) / size), axis=0, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(cell.ravel(), column, len(cells)) for column in known.T], axis=1)
+    away, _ = cKDTree(sums / count[:, None]).query(points)
+    shifted = float(np.quantile(away, 0.99))
+    return {"voxels": len(points), "centroid_error_mm": shifted, "failed": float(shifted > 0.01 * size)}
+
+
+def judge_features(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """Of the test points, the share whose most similar sample point lies within 5 mm of the same place, in percent."""
+    own = move_points(truth["T_sample_test"], truth["test"])
+    _, match = cKDTree(answer["sample"]).query(answer["test"])
+    right = np.linalg.norm(own - truth["sample"][match], axis=1) < 5.0
+    return {"matches_percent": float(100 * right.mean()), "failed": float(right.mean() < 0.02)}
+
+
+def judge_weld(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """Overlap of the groove with the true one, and the way points' distances from its root."""
+    overlap = overlap_percent(answer["labels"], truth["labels"])
+    path = judge_path(answer["path"], truth["root"])
+    return {"overlap_percent": overlap, **path, "failed": float(overlap < WRONG_OVERLAP or path["path_span"] == 0)}
+
+
+def judge_calibration(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """Distances in mm of the held-out spheres, as the calibrated cell places them, from where they truly are."""
+    errors = np.linalg.norm(answer["held_out"] - truth["held_out"], axis=1)
+    return {
+        "error_mean_mm": float(errors.mean()),
+        "error_max_mm": float(errors.max()),
+        "failed": float(not errors.mean() < 1.0),
+    }
 
 
 def overlap_percent(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:

@@ -7,29 +7,46 @@ from dataclasses import dataclass
 
 from benchmarks import inputs, judging
 from benchmarks.racing import Case, Judge, Racer
+from grindvision.cell import KINDS
+
+LARGE_CAMERA = 4.4
+"""Pixels of a camera over those of the D415, along a row, that sees five million points of a plate."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much to run: ``rounds`` per case, ``poses`` of the first alignment, ``sizes`` of the scans, ``seed``."""
+    """How much to run.
+
+    ``rounds`` per case, ``poses`` of the first alignment, ``sizes`` of the scans for the whole and ``stage_sizes`` for
+    single stages, ``pieces`` to weld, ``arm_poses`` to calibrate with, ``seed``.
+    """
 
     rounds: int = 5
     poses: int = 20
-    sizes: tuple[str, ...] = ("500k", "2M", "200k", "50k")
+    sizes: tuple[str, ...] = ("50k", "200k", "500k", "2M")
+    stage_sizes: tuple[str, ...] = ("500k", "2M")
+    pieces: tuple[str, ...] = KINDS
+    arm_poses: tuple[str, ...] = tuple(inputs.SPHERES)
     seed: int = 10
 
     @property
     def complete(self) -> bool:
         """Whether nothing is left out, so that the results may stand in ``figures/``."""
-        return self.rounds >= 5 and self.poses >= 20 and set(self.sizes) == set(inputs.SIZES)
+        full = Plan()
+        least = self.rounds >= full.rounds and self.poses >= full.poses
+        return least and (self.sizes, self.pieces) == (full.sizes, full.pieces)
 
 
-QUICK = Plan(rounds=1, poses=3, sizes=("50k",))
+QUICK = Plan(rounds=1, poses=2, sizes=("50k",), stage_sizes=("50k",), pieces=("box",), arm_poses=("54",))
 
 
 @dataclass(frozen=True)
 class Race:
-    """One table: ``cases(plan)`` gives the rounds of each case; of the judged ``accuracy``, ``drawn`` is in the picture."""
+    """One table: ``cases(plan)`` gives the rounds of each case.
+
+    Of the answers ``accuracy`` is judged, and of it ``drawn`` is in the picture. In the race of a ``stage`` the time to
+    read the files does not count.
+    """
 
     name: str
     title: str
@@ -38,49 +55,214 @@ class Race:
     judge: Judge
     accuracy: tuple[str, ...]
     drawn: tuple[str, ...]
+    stage: bool = True
+    spare: bool = True
+    lap: str = ""
 
 
-RECIPE = (
-    "1 mm voxels, points more than 0.5 mm off the sample, largest cluster, six slabs, mean of each slab's top quarter"
-)
+PATH = "largest cluster that stands out by 0.5 mm, six slabs, mean of each slab's highest quarter"
+NEAREST = "points farther than 0.5 mm from their nearest neighbour"
+
+
+def ours(name: str, task: str, about: str, kind: str = "ours", **settings: object) -> Racer:
+    """One of our own racers."""
+    return Racer(name, f"ours:{task}", kind, settings, about)
+
+
+def open3d(name: str, task: str, about: str, **settings: object) -> Racer:
+    """A racer of Open3D."""
+    return Racer(name, f"open3d_peer:{task}", "peer", settings, about, "open3d")
+
+
+def small_gicp(name: str, task: str, about: str, **settings: object) -> Racer:
+    """A racer of small_gicp."""
+    return Racer(name, f"small_gicp_peer:{task}", "peer", settings, about, "small_gicp")
+
+
+def pcl(name: str, task: str, about: str, **settings: object) -> Racer:
+    """A racer of PCL, a program."""
+    return Racer(name, f"pcl_peer:{task}", "peer", settings, about, "PCL", program=True)
+
 
 DETECT = Race(
     "detect",
-    "Whole detection: two scans in files, path points out",
+    "Whole detection: two scan files in, path points out",
     (
-        Racer("grindvision", "ours:detect", "ours", about="vision.detect at its defaults, after clouds.read_cloud"),
-        Racer(
-            "Open3D", "open3d_peer:detect", needs="open3d",
-            about=f"FPFH in 4 mm voxels, RANSAC on mutual matches, plane ICP within 4 and 1 mm; {RECIPE}",
-        ),
+        ours("grindvision", "detect", "clouds.read_cloud, vision.detect at its defaults"),
+        open3d("Open3D", "detect", f"FPFH in 4 mm voxels, RANSAC on mutual matches, plane ICP on 1 mm voxels; {PATH}"),
         Racer(
             "KISS-Matcher + Open3D + SciPy", "kiss_peer:detect", needs="kiss_matcher",
-            about=f"KISS-Matcher with 2 mm voxels, Open3D's plane ICP, SciPy's kd-tree on all cores; {RECIPE}",
+            about=f"KISS-Matcher in 2 mm voxels, Open3D's plane ICP on 1 mm voxels, SciPy's kd-tree; {PATH}",
         ),
-        Racer(
-            "PCL, best", "pcl_peer:detect", settings={"samples": 200, "icp": "plane"}, needs="PCL", program=True,
-            about=f"SAC-IA with 200 samples in 4 mm voxels, plane ICP within 4 and 1 mm; {RECIPE}",
-        ),
-        Racer(
-            "PCL, the paper's recipe", "pcl_peer:detect", settings={"samples": 1000, "icp": "point"}, needs="PCL",
-            program=True, about=f"SAC-IA with 1,000 samples, point ICP within 4 mm, 400 iterations; {RECIPE}",
+        pcl("PCL, best", "detect", f"SAC-IA, 200 samples, 4 mm voxels, plane ICP; {PATH}", samples=200, icp="plane"),
+        pcl(
+            "PCL, the paper's recipe", "detect", f"SAC-IA, 1,000 samples, 4 mm voxels, point ICP; {PATH}",
+            samples=1000, icp="point",
         ),
     ),
     lambda plan: [inputs.detection_cases(size, plan.rounds, plan.seed) for size in plan.sizes],
     judging.judge_detection,
     ("rotation_deg", "shift_mm", "path_mean_mm", "path_max_mm"),
     ("shift_mm", "path_mean_mm"),
+    stage=False,
 )  # fmt: skip
 
-LARGE = Race(
-    "large",
+COARSE = Race(
+    "coarse",
+    "First alignment of 20 pairs: features included",
+    (
+        ours("grindvision", "coarse", "features, proposals and verification of vision.detect"),
+        open3d("Open3D RANSAC, 4 mm", "coarse", "FPFH, RANSAC on mutual matches, 100,000 tries", voxel_mm=4.0),
+        open3d("Open3D RANSAC, 2 mm", "coarse", "the same in 2 mm voxels, a million tries", voxel_mm=2.0, tries=10**6),
+        Racer("KISS-Matcher, 2 mm", "kiss_peer:coarse", about="its own defaults, 2 mm voxels", needs="kiss_matcher"),
+        pcl(
+            "PCL SAC-IA, 4 mm", "coarse", "1,000 samples, the five most similar histograms, 4 mm voxels",
+            method="sacia", voxel_mm=4.0, tries=1000,
+        ),
+        pcl(
+            "PCL prerejective, 2 mm", "coarse", "20,000 tries, the five most similar histograms, 2 mm voxels",
+            method="prerejective", voxel_mm=2.0, tries=20_000,
+        ),
+    ),
+    lambda plan: [inputs.coarse_cases(hard, plan.poses, plan.seed) for hard in (False, True)],
+    judging.judge_pose,
+    ("rotation_deg", "shift_mm"),
+    ("shift_mm",),
+    spare=False,
+)  # fmt: skip
+
+GROOVE = Race(
+    "groove",
+    "Cloud to groove (groove_s) and on to way points (median_s)",
+    (
+        ours("grindvision", "groove", "vision.trace_weld at its defaults", variant="ours"),
+        ours("the paper's method", "groove", "vision.trace_weld(variant='paper')", "paper_variant", variant="paper"),
+        pcl(
+            "PCL, fastest", "groove", "moving least squares 4 mm, normals and histograms 5 mm, threshold 9 deg",
+            smoothing_mm=4.0, radius_mm=5.0, threshold_deg=9.0,
+        ),
+        pcl(
+            "PCL, best overlap", "groove", "moving least squares 8 mm, normals and histograms 6 mm, threshold 8 deg",
+            smoothing_mm=8.0, radius_mm=6.0, threshold_deg=8.0,
+        ),
+        open3d(
+            "Open3D + NumPy", "groove", "normals and histograms 5 mm, threshold 8 deg, no smoothing",
+            radius_mm=5.0, threshold_deg=8.0,
+        ),
+    ),
+    lambda plan: [inputs.groove_cases(kind, plan.rounds, plan.seed) for kind in plan.pieces],
+    judging.judge_weld,
+    ("overlap_percent", "path_mean_mm", "path_max_mm"),
+    ("overlap_percent", "path_mean_mm"),
+    lap="groove",
+)  # fmt: skip
+
+DIFFERENCE = Race(
+    "difference",
+    "What stands out of the sample, the scans being in one frame",
+    (
+        ours("grindvision", "difference", "surfels and features of both scans (prepare), then vision.find_difference"),
+        open3d("Open3D", "difference", f"compute_point_cloud_distance: {NEAREST}"),
+        Racer("SciPy", "scipy_peer:difference", about=f"cKDTree on all cores: {NEAREST}", needs="scipy"),
+        small_gicp("small_gicp", "difference", f"KdTree on all cores: {NEAREST}"),
+        pcl("PCL", "difference", f"kd-tree on all cores: {NEAREST}"),
+        Racer(
+            "CloudCompare", "cloudcompare_peer:difference", needs="CloudCompare", program=True,
+            about=f"C2C_DIST, times from its log, memory not measured: {NEAREST}",
+        ),
+    ),
+    lambda plan: [inputs.difference_cases(size, plan.rounds, plan.seed) for size in plan.stage_sizes],
+    judging.judge_difference,
+    ("bead_percent", "overlap_percent"),
+    ("overlap_percent",),
+    lap="difference",
+)  # fmt: skip
+
+ICP = Race(
+    "icp",
+    "ICP from 2 degrees and 1.5 mm off: voxels and normals included",
+    (
+        ours("grindvision, planes", "icp", "vision.icp_planes on surfels"),
+        ours("grindvision, points", "icp_paper", "vision.icp_points on 1 mm voxels, as the paper", "paper_variant"),
+        open3d("Open3D, planes", "icp", "1 mm voxels, within 4 and then 1 mm"),
+        small_gicp("small_gicp, GICP", "icp", "1 mm voxels, within 4 and then 1 mm", method="GICP"),
+        small_gicp("small_gicp, planes", "icp", "1 mm voxels, within 4 and then 1 mm", method="PLANE_ICP"),
+        pcl("PCL, planes", "icp", "1 mm voxels, within 4 and then 1 mm", method="plane"),
+        pcl("PCL, points", "icp", "1 mm voxels, within 4 mm, at most 400 iterations", method="point"),
+    ),
+    lambda plan: [inputs.icp_cases(plan.stage_sizes[0], plan.rounds, plan.seed)],
+    judging.judge_pose,
+    ("rotation_deg", "shift_mm"),
+    ("rotation_deg", "shift_mm"),
+    lap="icp",
+)
+
+CALIBRATION = Race(
+    "calibration",
+    "Calibration of scanner, arm and base",
+    (
+        ours("grindvision", "calibrate", "calibration.calibrate at its defaults: covariance and rank included"),
+        Racer(
+            "SciPy least squares", "scipy_peer:calibrate", needs="scipy",
+            about="least_squares with its numerical Jacobian over 32 numbers, no covariance",
+        ),
+    ),
+    lambda plan: [inputs.calibration_cases(poses, plan.rounds, plan.seed) for poses in plan.arm_poses],
+    judging.judge_calibration,
+    ("error_mean_mm", "error_max_mm"),
+    ("error_mean_mm",),
+)  # fmt: skip
+
+VOXEL = Race(
+    "voxel",
+    "Voxel grid filter of 2 mm",
+    (
+        ours("grindvision", "voxels", "voxel_grid: centroids, counts, and the voxel of every point"),
+        open3d("Open3D", "voxels", "voxel_down_sample"),
+        small_gicp("small_gicp", "voxels", "voxelgrid_sampling, one thread"),
+        pcl("PCL", "voxels", "VoxelGrid"),
+    ),
+    lambda plan: [inputs.voxel_cases(size, plan.rounds, plan.seed) for size in plan.stage_sizes],
+    judging.judge_voxels,
+    ("voxels", "centroid_error_mm"),
+    ("centroid_error_mm",),
+)
+
+FPFH = Race(
+    "fpfh",
+    "FPFH of two scans in 2 mm voxels, radius 10 mm",
+    (
+        ours("grindvision", "fpfh", "compute_fpfh"),
+        open3d("Open3D", "fpfh", "compute_fpfh_feature"),
+        pcl("PCL", "fpfh", "FPFHEstimationOMP"),
+    ),
+    lambda plan: [inputs.fpfh_cases(plan.stage_sizes[0], plan.rounds, plan.seed)],
+    judging.judge_features,
+    ("matches_percent",),
+    ("matches_percent",),
+)
+
+LARGE_DETECT = Race(
+    "large_detect",
     "Whole detection of 20 million points a scan",
     DETECT.racers[:2],
     lambda plan: [inputs.large_cases(plan.seed)],
     judging.judge_detection,
     DETECT.accuracy,
     (),
+    stage=False,
 )
 
-RACES = (DETECT,)
-ON_DEMAND = (LARGE,)
+LARGE_GROOVE = Race(
+    "large_groove",
+    "Cloud to groove and way points on 5 million points",
+    GROOVE.racers[:1],
+    lambda plan: [inputs.groove_cases("line", 1, plan.seed, LARGE_CAMERA)],
+    judging.judge_weld,
+    GROOVE.accuracy,
+    (),
+    lap="groove",
+)
+
+RACES = (DETECT, COARSE, GROOVE, DIFFERENCE, ICP, CALIBRATION, VOXEL, FPFH)
+ON_DEMAND = (LARGE_DETECT, LARGE_GROOVE)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import grindvision.book
 from benchmarks.racing import Measurement
@@ -22,16 +23,29 @@ from grindvision.files import write_text, write_whole
 
 KINDS = {"ours": "grindvision", "paper_variant": "grindvision, the paper's variant", "peer": "peer"}
 STYLE = Path(grindvision.book.__file__).with_name("book.mplstyle")
+LABELS = {
+    "median_s": "median time (s), from min to max",
+    "peak_mib": "peak memory (MiB)",
+    "rotation_deg": "turn error (deg)",
+    "shift_mm": "shift error (mm)",
+    "path_mean_mm": "path error, mean (mm)",
+    "path_max_mm": "path error, largest (mm)",
+    "overlap_percent": "overlap (%)",
+    "bead_percent": "bead found (%)",
+    "error_mean_mm": "held-out error (mm)",
+    "matches_percent": "right matches (%)",
+}
 HIDDEN = ("kind", "cpu_s", "stages_s")
 """Columns of the csv that the Markdown table leaves out."""
 
 
-def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str]) -> pd.DataFrame:
+def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: str = "") -> pd.DataFrame:
     """One row per case and racer: times, ratio, memory, failures, and the accuracy of the answers.
 
     ``median_s``, ``min_s``, ``max_s`` are wall times over ``rounds``; ``cpu_s`` the median over all threads;
     ``of_fastest_peer`` the median over that of the fastest peer that did not fail; ``peak_mib`` the process after its
     first run, ``growth_mib`` of it since the imports. Accuracy: the median over the rounds; of a ``max`` the largest.
+    Where a ``lap`` is named, ``<lap>_s`` is the median of this stage alone, with its own ratio.
     """
     rows = []
     for (label, _), own in _grouped(measurements).items():
@@ -49,6 +63,7 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str]) -> pd
                 "max_s": max(seconds),
                 "cpu_s": float(np.median([one.cpu_s for one in own])),
                 "of_fastest_peer": np.nan,
+                **({f"{lap}_s": _median_lap(own, lap), f"{lap}_of_fastest_peer": np.nan} if lap else {}),
                 "peak_mib": own[0].peak_mib,
                 "growth_mib": own[0].growth_mib,
                 "failures": sum(one.failed for one in own),
@@ -61,9 +76,10 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str]) -> pd
         peers = own[own["kind"] == "peer"]
         right = peers[peers["failures"] < 0.5 * peers["rounds"]]
         if len(peers):
-            table.loc[own.index, "of_fastest_peer"] = (
-                own["median_s"] / (right if len(right) else peers)["median_s"].min()
-            )
+            best = right if len(right) else peers
+            for seconds, ratio in {"median_s": "of_fastest_peer", f"{lap}_s": f"{lap}_of_fastest_peer"}.items():
+                if seconds in table:
+                    table.loc[own.index, ratio] = own[seconds] / best[seconds].min()
     return table
 
 
@@ -96,7 +112,7 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
     places = np.concatenate([np.flatnonzero(table["case"] == case) + 1.2 * cases.index(case) for case in cases])
     panels = ["median_s", "peak_mib", *drawn]
     fig, axes = plt.subplots(
-        1, len(panels), figsize=(4.2 + 2.1 * len(panels), 1.6 + 0.2 * places[-1]), sharey=True, squeeze=False,
+        1, len(panels), figsize=(4.2 + 2.1 * len(panels), 2.4 + 0.2 * places[-1]), sharey=True, squeeze=False,
         width_ratios=[1.5] + [1] * (len(panels) - 1),
     )  # fmt: skip
     for panel, column in zip(axes[0], panels, strict=True):
@@ -156,8 +172,11 @@ def _summary(name: str, values: Sequence[float]) -> float:
 
 
 def _stages(own: Sequence[Measurement]) -> str:
-    names = own[-1].laps_s
-    return ", ".join(f"{name} {np.median([one.laps_s.get(name, np.nan) for one in own]):.3f}" for name in names)
+    return ", ".join(f"{name} {_median_lap(own, name):.3f}" for name in own[-1].laps_s)
+
+
+def _median_lap(own: Sequence[Measurement], name: str) -> float:
+    return float(np.median([one.laps_s.get(name, np.nan) for one in own]))
 
 
 def _dots(axes: Axes, table: pd.DataFrame, places: np.ndarray, column: str) -> None:
@@ -167,14 +186,17 @@ def _dots(axes: Axes, table: pd.DataFrame, places: np.ndarray, column: str) -> N
         axes.hlines(places, table["min_s"], table["max_s"], colors=colours, lw=2, alpha=0.5)
     axes.scatter(values, places, c=colours, s=30, zorder=3)
     finite = values[np.isfinite(values)]
-    if len(finite) and finite.min() > 0 and finite.max() / finite.min() > 20:
+    if len(finite) and finite.min() > 0 and finite.max() / finite.min() > 12:
+        many = finite.max() / finite.min() > 200
         axes.set_xscale("log")
+        axes.set_xlim(finite.min() / 1.5, finite.max() * (3 if column == "median_s" else 1.5))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1,) if many else (1, 3)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     elif len(finite):
-        axes.set_xlim(0, 1.12 * finite.max() or 1)
+        axes.set_xlim(0, (1.3 if column == "median_s" else 1.12) * finite.max() or 1)
     for value, place, failures, rounds in zip(values, places, table["failures"], table["rounds"], strict=True):
         if column == "median_s":
             text = f"{value:.3g} s" + (f", {failures} of {rounds} fail" if failures else "")
             axes.annotate(text, (value, place), (6, 4), textcoords="offset points", fontsize=7)
-    axes.set_xlabel(
-        {"median_s": "median time (s), from min to max", "peak_mib": "peak memory (MiB)"}.get(column, column)
-    )
+    axes.set_xlabel(LABELS.get(column, column))

@@ -39,3 +39,13 @@ def matched(target: np.ndarray, source: np.ndarray, voxel_mm: float) -> np.ndarr
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_mm))
     found = matcher.estimate(source.astype(np.float32), target.astype(np.float32))
     return rigid(found.rotation, np.ravel(found.translation))
+
+
+def coarse(sample: str, test: str, voxel_mm: float = 2.0) -> dict:
+    """The first alignment."""
+    lap = Laps()
+    clouds = [np.asarray(o3d.io.read_point_cloud(path).points) for path in (sample, test)]
+    lap("read")
+    pose = matched(*clouds, voxel_mm)
+    lap("coarse")
+    return {"T_sample_test": pose, "laps_s": lap.laps_s}

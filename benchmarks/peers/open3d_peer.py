@@ -6,7 +6,8 @@ import numpy as np
 import open3d as o3d
 
 from benchmarks.peers.laps import Laps
-from benchmarks.peers.recipe import bead_path
+from benchmarks.peers.recipe import THRESHOLD_MM, bead_path
+from benchmarks.peers.weld_recipe import groove_labels, slab_medians
 
 REGISTRATION = o3d.pipelines.registration
 
@@ -41,7 +42,7 @@ def featured(cloud, voxel_mm: float):
     return cloud, REGISTRATION.compute_fpfh_feature(cloud, search)
 
 
-def ransac(target, source, voxel_mm: float) -> np.ndarray:
+def ransac(target, source, voxel_mm: float, tries: int = 100_000) -> np.ndarray:
     """RANSAC on mutual matches of the features."""
     (target_cloud, target_features), (source_cloud, source_features) = target, source
     checks = [
@@ -51,7 +52,7 @@ def ransac(target, source, voxel_mm: float) -> np.ndarray:
     return REGISTRATION.registration_ransac_based_on_feature_matching(
         source_cloud, target_cloud, source_features, target_features, True, 1.5 * voxel_mm,
         REGISTRATION.TransformationEstimationPointToPoint(False), 3, checks,
-        REGISTRATION.RANSACConvergenceCriteria(100_000, 0.999),
+        REGISTRATION.RANSACConvergenceCriteria(tries, 0.999),
     ).transformation  # fmt: skip
 
 
@@ -64,3 +65,74 @@ def plane_icp(target, source, pose: np.ndarray) -> np.ndarray:
             REGISTRATION.ICPConvergenceCriteria(1e-7, 1e-7, 30),
         ).transformation  # fmt: skip
     return pose
+
+
+def coarse(sample: str, test: str, voxel_mm: float, tries: int = 100_000) -> dict:
+    """The first alignment."""
+    lap = Laps()
+    clouds = [o3d.io.read_point_cloud(path) for path in (sample, test)]
+    lap("read")
+    features = [featured(cloud, voxel_mm) for cloud in clouds]
+    lap("features")
+    pose = ransac(*features, voxel_mm, tries)
+    lap("coarse")
+    return {"T_sample_test": pose, "laps_s": lap.laps_s}
+
+
+def icp(sample: str, test: str, start: str) -> dict:
+    """Point-to-plane ICP."""
+    lap = Laps()
+    clouds = [o3d.io.read_point_cloud(path) for path in (sample, test)]
+    lap("read")
+    target, source = (cloud.voxel_down_sample(1.0) for cloud in clouds)
+    lap("prepare")
+    pose = plane_icp(target, source, np.fromfile(start).reshape(4, 4))
+    lap("icp")
+    return {"T_sample_test": pose, "laps_s": lap.laps_s}
+
+
+def difference(sample: str, test: str) -> dict:
+    """Points farther than 0.5 mm from their nearest neighbour."""
+    lap = Laps()
+    target, source = (o3d.io.read_point_cloud(path) for path in (sample, test))
+    lap("read")
+    changed = np.asarray(source.compute_point_cloud_distance(target)) > THRESHOLD_MM
+    lap("difference")
+    return {"changed": changed, "laps_s": lap.laps_s}
+
+
+def voxels(cloud: str, size_mm: float = 2.0) -> dict:
+    """The voxel grid filter; the lattice begins half a voxel below the lowest corner."""
+    lap = Laps()
+    points = o3d.io.read_point_cloud(cloud)
+    lap("read")
+    less = points.voxel_down_sample(size_mm)
+    lap("voxel")
+    origin = points.get_min_bound() - 0.5 * size_mm
+    return {"points": np.asarray(less.points), "size_mm": np.array(size_mm), "origin": origin, "laps_s": lap.laps_s}
+
+
+def fpfh(sample: str, test: str, radius_mm: float = 10.0) -> dict:
+    """Histograms of both scans' points."""
+    lap = Laps()
+    clouds = [o3d.io.read_point_cloud(path) for path in (sample, test)]
+    lap("read")
+    search = o3d.geometry.KDTreeSearchParamRadius(radius_mm)
+    good, seen = (np.asarray(REGISTRATION.compute_fpfh_feature(cloud, search).data).T for cloud in clouds)
+    lap("fpfh")
+    return {"sample": good, "test": seen, "laps_s": lap.laps_s}
+
+
+def groove(cloud: str, radius_mm: float, threshold_deg: float) -> dict:
+    """The second paper's recipe without smoothing: Open3D's normals and clusters, the descriptor in NumPy."""
+    lap = Laps()
+    points = o3d.io.read_point_cloud(cloud)
+    lap("read")
+    points.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(radius_mm))
+    points.orient_normals_towards_camera_location()
+    places, normals = np.asarray(points.points), np.asarray(points.normals)
+    labels = groove_labels(places, normals, radius_mm, threshold_deg)
+    lap("groove")
+    path = slab_medians(places[labels]) if labels.any() else np.empty((0, 3))
+    lap("trajectory")
+    return {"labels": labels, "path": path, "laps_s": lap.laps_s}

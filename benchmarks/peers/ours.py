@@ -2,17 +2,136 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pandas as pd
+
 from benchmarks.peers.laps import Laps
-from grindvision import vision
+from grindvision.arm import read_arm
+from grindvision.calibration import calibrate as fit_cell
+from grindvision.calibration import read_measurements
 from grindvision.clouds import read_cloud
-from grindvision.vision.detection import detect as _detect  # noqa: F401  imports belong before the clock
+from grindvision.vision import detection
+from grindvision.vision.difference import find_difference
+from grindvision.vision.fpfh import compute_fpfh
+from grindvision.vision.icp import FineRegistration, icp_planes, icp_points
+from grindvision.vision.normals import orient_to_viewpoint
+from grindvision.vision.scan import choose_resolution, coarser, prepare_pair
+from grindvision.vision.surfels import build_surfels
+from grindvision.vision.verification import choose_pose
+from grindvision.vision.voxel_grid import voxel_grid
+from grindvision.vision.weld import trace_weld
 
 
 def detect(sample: str, test: str) -> dict:
     """Two scans in, path points out."""
     lap = Laps()
-    clouds = [read_cloud(path).points for path in (sample, test)]
+    clouds = _read(sample, test)
     lap("read")
-    found = vision.detect(*clouds)
-    path = found.path_points[:6]
+    found = detection.detect(*clouds)
+    path = found.beads[0].points if found.beads else np.empty((0, 3))
     return {"T_sample_test": found.T_sample_test, "path": path, "laps_s": {**lap.laps_s, **found.timings_s}}
+
+
+def coarse(sample: str, test: str, seed: int = 0) -> dict:
+    """The first alignment: features, proposals, verification."""
+    lap, rng = Laps(), np.random.default_rng(seed)
+    clouds = _read(sample, test)
+    lap("read")
+    good, seen = prepare_pair(*clouds)
+    lap("features")
+    seen, poses = detection.propose(good, seen, rng)
+    lap("coarse")
+    found = choose_pose(seen, good, poses, rng)
+    lap("verification")
+    return {"T_sample_test": found.registration.T_target_source, "laps_s": lap.laps_s}
+
+
+def icp(sample: str, test: str, start: str) -> dict:
+    """Point-to-plane ICP on surfels."""
+    lap = Laps()
+    clouds, pose = _read(sample, test), _pose(start)
+    lap("read")
+    size = coarser(*map(choose_resolution, clouds)).surfel_mm
+    good, seen = (build_surfels(points, size) for points in clouds)
+    normals = orient_to_viewpoint(seen.points, seen.normals, np.zeros(3))
+    good.normals[:] = orient_to_viewpoint(good.points, good.normals, np.zeros(3))
+    lap("prepare")
+    found = icp_planes(seen.points, normals, good, pose, most_mm=4.0)
+    lap("icp")
+    return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
+
+
+def icp_paper(sample: str, test: str, start: str) -> dict:
+    """Point-to-point ICP on voxels of 1 mm, as the paper stops it."""
+    lap = Laps()
+    clouds, pose = _read(sample, test), _pose(start)
+    lap("read")
+    good, seen = (voxel_grid(points, 1.0).centroids for points in clouds)
+    lap("prepare")
+    found = icp_points(seen, good, pose, most_mm=4.0, iterations=400)
+    lap("icp")
+    return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
+
+
+def difference(sample: str, test: str) -> dict:
+    """What stands out of the sample, in clusters; the scans are in one frame."""
+    lap = Laps()
+    clouds = _read(sample, test)
+    lap("read")
+    good, seen = prepare_pair(*clouds)
+    lap("prepare")
+    unknown = np.full((6, 6), np.nan)
+    same = FineRegistration(np.eye(4), 0.0, 1.0, 0, True, np.zeros(3), unknown, unknown, np.zeros(1))
+    found = find_difference(good, seen, same)
+    lap("difference")
+    return {"points": found.points, "laps_s": lap.laps_s}
+
+
+def voxels(cloud: str, size_mm: float = 2.0) -> dict:
+    """The voxel grid filter."""
+    lap = Laps()
+    (points,) = _read(cloud)
+    lap("read")
+    found = voxel_grid(points, size_mm)
+    lap("voxel")
+    return {"points": found.centroids, "size_mm": np.array(size_mm), "origin": np.zeros(3), "laps_s": lap.laps_s}
+
+
+def fpfh(sample: str, test: str, radius_mm: float = 10.0) -> dict:
+    """Histograms of both scans' points."""
+    lap = Laps()
+    clouds = [read_cloud(path) for path in (sample, test)]
+    lap("read")
+    good, seen = (compute_fpfh(cloud.points, cloud.normals, radius_mm) for cloud in clouds)
+    lap("fpfh")
+    return {"sample": good, "test": seen, "laps_s": lap.laps_s}
+
+
+def groove(cloud: str, variant: str) -> dict:
+    """A cloud in, groove points and way points out."""
+    lap = Laps()
+    (points,) = _read(cloud)
+    lap("read")
+    found = trace_weld(points, variant=variant)
+    laps = {"groove": found.timings_s["detect"], "trajectory": found.timings_s["path"]}
+    return {"labels": found.labels, "path": found.path.points, "laps_s": {**lap.laps_s, **laps}}
+
+
+def calibrate(train: str, test: str, robot: str) -> dict:
+    """Scanner, arm and base from measurements; then the held-out spheres in the tracker's frame."""
+    lap = Laps()
+    arm = read_arm(robot).first(4)
+    measurements, held_out = read_measurements(train, arm.n), pd.read_csv(test)
+    lap("read")
+    found = fit_cell(measurements, arm)
+    lap("calibrate")
+    q_rad, seen_mm = held_out.filter(regex="q._rad").to_numpy(), held_out.filter(regex="s._mm").to_numpy()
+    return {"held_out": found.cell.points_tracker(q_rad, seen_mm), "laps_s": lap.laps_s}
+
+
+def _read(*files: str) -> list[np.ndarray]:
+    return [read_cloud(file).points for file in files]
+
+
+def _pose(file: str) -> np.ndarray:
+    return np.fromfile(file).reshape(4, 4)
