@@ -18,8 +18,8 @@ from grindvision.vision.scan import Scan, surface_in_frame
 
 Floats = NDArray[np.float64]
 
-#: Above so many times the noise, the level of detection shows a pose that the scans hardly fix.
-MOST_TIMES_NOISE = 20.0
+#: Registrations of less than this share of the test scan may be chance.
+LEAST_OVERLAP = 0.35
 
 #: Two sound scanners agree on a length to about a thousandth; this is four times as much.
 MOST_SCALE = 0.004
@@ -67,12 +67,10 @@ def mirrored_refusal(
 def doubts(sample: Scan, test: Scan, registration: FineRegistration, difference: Difference) -> tuple[str, ...]:
     """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_sample_test."""
     found = []
-    noise = float(max(np.median(scan.surfels.noise_mm) for scan in (sample, test)))
-    level = difference.level_of_detection_mm
-    if level > MOST_TIMES_NOISE * noise:
+    if registration.overlap < LEAST_OVERLAP:
         found.append(
-            f"the level of detection, {level:.2g} mm, is {level / max(noise, 1e-9):.0f} times the noise of the scans:"
-            f" their overlap ({registration.overlap:.0%}) hardly fixes the pose; scan with more overlap"
+            f"only {registration.overlap:.0%} of the test scan lies on the sample: the rest was compared with nothing,"
+            " and so little hardly fixes the pose; scan with more overlap"
         )
     scale, deviation = relative_scale(sample, test, registration)
     if abs(scale - 1) > max(MOST_SCALE, 5 * deviation):

@@ -1,0 +1,328 @@
+"""The page "When it does not work": every mistake on it is made here, and must say what the page quotes."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from grinding_scene import arc_bead, pair, plate_height, scan, view
+from groove_scenes import cloud, grid, straight_groove, vee
+
+import grindvision.book
+from grindvision.arm import read_arm, write_arm
+from grindvision.cli import main
+from grindvision.clouds import write_ply
+from grindvision.geometry import rigid, rotation_about
+from tests.calibration_rig import ROBOT, er3a, rig, ur5
+from tests.test_calibration_input import as_table
+
+PAGE = Path(grindvision.book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
+Mistake = Callable[[Path], list[object]]
+MISTAKES: list[tuple[str, Mistake]] = []
+
+#: A scanner half a metre above the table that looks straight down.
+ABOVE = rigid(np.diag([1.0, -1.0, -1.0]), [310.0, 0.0, 450.0])
+
+
+def quotations() -> dict[str, str]:
+    """Section of the page -> the line it quotes."""
+    sections = re.split(r"^### ", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    quoted = [(section.splitlines()[0], re.findall(r"^> (.+)$", section, re.MULTILINE)) for section in sections]
+    assert all(len(lines) == 1 for _, lines in quoted)
+    return {title: lines[0] for title, lines in quoted}
+
+
+def mistake(title: str) -> Callable[[Mistake], Mistake]:
+    """Register a function that writes bad input to a folder and returns the command's words, without the output."""
+
+    def register(make: Mistake) -> Mistake:
+        MISTAKES.append((title, make))
+        return make
+
+    return register
+
+
+@cache
+def beaded():
+    """A good part and one with a bead, in two scanner frames."""
+    return pair(seed=11, n_points=20_000, beads=[arc_bead()])
+
+
+def two(folder: Path, sample: np.ndarray, test: np.ndarray, *more: object) -> list[object]:
+    """Words of ``detect`` for two clouds."""
+    write_ply(folder / "good.ply", sample)
+    write_ply(folder / "test.ply", test)
+    return ["detect", folder / "good.ply", folder / "test.ply", *more]
+
+
+def seen_twice(surface, folder: Path, *, second=None, windows=((-70, 70, -70, 70),) * 2) -> list[object]:
+    """Words of ``detect`` for two views of a surface, or of two surfaces."""
+    rng = np.random.default_rng(1)
+    views = view(0.15, (1.0, 0.3, 0.0)), view(0.47, (0.2, -0.5, 0.8))
+    pairs = zip((surface, second or surface), views, windows, strict=True)
+    return two(folder, *(scan(shape, pose, 15_000, rng, window=window) for shape, pose, window in pairs))
+
+
+def pose_file(folder: Path, matrix) -> Path:
+    (folder / "pose.json").write_text(json.dumps({"T_base_scanner": np.asarray(matrix).tolist()}))
+    return folder / "pose.json"
+
+
+def seam(folder: Path, points=None, *more: object) -> list[object]:
+    """Words of ``groove`` for a cloud, a plate with one good groove when none is given."""
+    rng = np.random.default_rng(1)
+    write_ply(folder / "cloud.ply", straight_groove(rng)[0] if points is None else points)
+    return ["groove", folder / "cloud.ply", *more]
+
+
+def welded(folder: Path, pose) -> list[object]:
+    return seam(folder, None, "--robot", "ur3", "--scanner-pose", pose_file(folder, pose))
+
+
+@cache
+def measured():
+    return rig(er3a(), np.random.default_rng(2), test=12)
+
+
+def spheres(folder: Path, measurements=None, table=None, arm=None) -> list[object]:
+    """Words of ``calibrate`` for measurements, or a table of them, and an arm."""
+    table = as_table(measurements or measured().measurements) if table is None else table
+    table.to_csv(folder / "m.csv", index=False)
+    write_arm(arm or er3a(), folder / "r.csv")
+    return ["calibrate", folder / "m.csv", "--robot", folder / "r.csv"]
+
+
+@mistake("The unit is wrong")
+def metres(folder):
+    return two(folder, beaded().sample, beaded().test / 1000)
+
+
+@mistake("One of the two scans has another unit")
+def inches(folder):
+    return two(folder, beaded().sample, beaded().test * 25.4)
+
+
+@mistake("The file is cut short")
+def half_a_file(folder):
+    words = two(folder, beaded().sample, beaded().test)
+    words[2].write_bytes(words[2].read_bytes()[:100_000])
+    return words
+
+
+@mistake("Points without a place")
+def holes(folder):
+    test = beaded().test.copy()
+    test[::50] = np.nan
+    return two(folder, beaded().sample, test)
+
+
+@mistake("The two scans do not fit")
+def another_part(folder):
+    return seen_twice(plate_height, folder, second=lambda x, y: 7 * np.sin(x / 30) * np.cos(y / 25))
+
+
+@mistake("One of the scans is mirrored")
+def left_handed(folder):
+    return two(folder, beaded().sample, beaded().test * [1, -1, 1])
+
+
+@mistake("Ambiguous: the part can slide or turn")
+def extruded(folder):
+    return seen_twice(lambda x, y: 6 * np.sin(x / 20) + 4 * np.cos(x / 9), folder)
+
+
+@mistake("Ambiguous: the part is symmetric")
+def square(folder):
+    return seen_twice(lambda x, y: 6 * np.cos(x / 9) + 6 * np.cos(y / 9), folder)
+
+
+@mistake("Ambiguous: the part can slide or turn")
+def flat(folder):
+    return seen_twice(lambda x, y: 0 * x, folder)
+
+
+@mistake("Ambiguous: the part can slide or turn")
+def ball(folder):
+    return seen_twice(lambda x, y: np.sqrt(150**2 - x**2 - y**2), folder)
+
+
+@mistake("Nothing to grind")
+def low_bead(folder):
+    low = pair(seed=11, n_points=20_000, beads=[arc_bead(height_mm=0.03)])
+    return two(folder, low.sample, low.test)
+
+
+@mistake("Sample and test swapped")
+def swapped(folder):
+    return two(folder, beaded().test, beaded().sample)
+
+
+@mistake("The test scan has another scale")
+def swollen(folder):
+    return two(folder, beaded().sample, 1.02 * beaded().test)
+
+
+@mistake("The overlap hardly fixes the pose")
+def apart(folder):
+    return seen_twice(plate_height, folder, windows=((-100, -20, -70, 70), (0, 100, -70, 70)))
+
+
+@mistake("Transposed")
+def by_columns(folder):
+    return [*two(folder, beaded().sample, beaded().test), "--scanner-pose", pose_file(folder, ABOVE.T)]
+
+
+@mistake("Not a rotation")
+def two_digits(folder):
+    rounded = rigid(np.round(rotation_about([1, 2, 3], 1.0), 2), ABOVE[:3, 3])
+    return [*two(folder, beaded().sample, beaded().test), "--scanner-pose", pose_file(folder, rounded)]
+
+
+@mistake("In metres")
+def pose_in_metres(folder):
+    small = rigid(ABOVE[:3, :3], ABOVE[:3, 3] / 1000)
+    return [*two(folder, beaded().sample, beaded().test), "--scanner-pose", pose_file(folder, small)]
+
+
+@mistake("The inverse, or the wrong moment")
+def inverted(folder):
+    return welded(folder, np.linalg.inv(ABOVE))
+
+
+@mistake("The inverse, or the wrong moment")
+def inverted_for_detect(folder):
+    pose = pose_file(folder, np.linalg.inv(ABOVE))
+    return [*two(folder, beaded().sample, beaded().test), "--scanner-pose", pose]
+
+
+@mistake("No groove")
+def a_plate(folder):
+    places = grid()
+    return seam(folder, cloud(places, 0 * places[:, 0], np.random.default_rng(1)))
+
+
+@mistake("No groove")
+def too_flat(folder):
+    places = grid()
+    return seam(folder, cloud(places, vee(places[:, 1], 10, 0.8), np.random.default_rng(1)))
+
+
+@mistake("No groove")
+def too_noisy(folder):
+    return seam(folder, straight_groove(np.random.default_rng(1), 6.0, 2.0, noise_mm=1.2)[0])
+
+
+@mistake("No groove")
+def too_narrow(folder):
+    return seam(folder, straight_groove(np.random.default_rng(1), spacing_mm=3.5)[0])
+
+
+@mistake("No groove")
+def from_behind(folder):
+    return seam(folder, None, "--viewpoint", 0, 0, 900)
+
+
+@mistake("The groove lies partly outside")
+def at_the_rim(folder):
+    points = straight_groove(np.random.default_rng(1))[0]
+    return seam(folder, points[grid()[:, 1] < 4])
+
+
+@mistake("A way point out of reach")
+def far_away(folder):
+    return welded(folder, rigid(ABOVE[:3, :3], [810.0, 0.0, 450.0]))
+
+
+@mistake("Behind the table")
+def too_low(folder):
+    return welded(folder, rigid(ABOVE[:3, :3], [310.0, 0.0, 370.0]))
+
+
+@mistake("Degrees")
+def degrees(folder):
+    measurements = measured().measurements
+    return spheres(folder, replace(measurements, q_rad=np.degrees(measurements.q_rad)))
+
+
+@mistake("Metres")
+def scanner_in_metres(folder):
+    measurements = measured().measurements
+    return spheres(folder, replace(measurements, scanner_mm=measurements.scanner_mm / 1000))
+
+
+@mistake("A mirrored frame")
+def image_axes(folder):
+    measurements = measured().measurements
+    return spheres(folder, replace(measurements, scanner_mm=measurements.scanner_mm * [1, -1, 1]))
+
+
+@mistake("Shifted rows")
+def one_reading_too_many(folder):
+    measurements = measured().measurements
+    return spheres(folder, replace(measurements, tracker_mm=np.roll(measurements.tracker_mm, 1, axis=0)))
+
+
+@mistake("Too few measurements")
+def eight_rows(folder):
+    return spheres(folder, measured().measurements.rows(np.arange(8)))
+
+
+@mistake("The rank is low: a joint did not move")
+def joint_three_at_rest(folder):
+    measurements, cell = measured().measurements, measured().cell
+    q = np.where(np.arange(4) == 2, 0.3, measurements.q_rad)
+    return spheres(folder, replace(measurements, q_rad=q, tracker_mm=cell.points_tracker(q, measurements.scanner_mm)))
+
+
+@mistake("A row contradicts the others")
+def one_bad_row(folder):
+    table = as_table(measured().measurements)
+    table.loc[3, "bx_mm"] += 5
+    return spheres(folder, table=table)
+
+
+@mistake("The table moved more than a machine can")
+def standard_table(folder):
+    modified = er3a().table
+    standard = np.column_stack([np.roll(modified[:, :2], -1, axis=0), modified[:, 2:]])
+    standard[-1, :2] = 0
+    return spheres(folder, arm=er3a().with_table(standard))
+
+
+@mistake("Nothing fits")
+def another_arm(folder):
+    return spheres(folder, arm=ur5().first(4))
+
+
+@mistake("The table is too long")
+def all_six_joints(folder):
+    return spheres(folder, arm=read_arm(ROBOT))
+
+
+@mistake("The folder cannot be written")
+def a_file_of_that_name(folder):
+    (folder / "out").write_text("in the way")
+    return ["simulate", "calibration"]
+
+
+def test_every_section_of_the_page_has_its_mistake():
+    assert set(quotations()) == {title for title, _ in MISTAKES}
+    assert len(quotations()) > 30
+
+
+@pytest.mark.parametrize(("title", "make"), MISTAKES, ids=[make.__name__ for _, make in MISTAKES])
+def test_the_mistake_says_what_the_page_quotes(title, make, tmp_path, capsys):
+    words = [str(word) for word in make(tmp_path)]
+    code = main([*words, "-o", str(tmp_path / "out")])
+    out, err = capsys.readouterr()
+    quoted = quotations()[title]
+    pattern = re.escape(quoted).replace("…", ".+")
+    assert any(re.fullmatch(pattern, line) for line in (out + err).splitlines()), f"{quoted}\n---\n{out}{err}"
+    refused = quoted.startswith("grindvision ")
+    assert code == (2 if refused else 0)
+    assert err.count("\n") == 1 or not refused
+    assert refused != (tmp_path / "out" / "report.json").exists()
