@@ -10,7 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
+import pandas as pd
+
 from benchmarks import inputs, machine, races, report
+from benchmarks.floors import floors
+from benchmarks.goals import goals
 from benchmarks.peers.programs import build_pcl
 from benchmarks.races import Plan, Race
 from benchmarks.racing import Racer, race
@@ -68,6 +72,29 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
         table = report.table_of(found, one.accuracy, one.lap)
         notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
         report.write_race(folder, one.name, one.title, table, notes, facts, one.drawn)
+        if one is races.DETECT:
+            write_growth(folder, table, facts)
+            write_floors(folder, plan, facts)
+    reached = goals(folder)
+    if len(reached):
+        report.write_race(folder, "goals", "What was asked of the races", reached, [], facts)
+
+
+def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> None:
+    """Slopes of time against points, where there is more than one size."""
+    if table["case"].nunique() > 1:
+        title = "Whole detection: growth of time with size"
+        fig, slopes = report.growth_picture(title, table)
+        report.save_picture(fig, folder / "bench_growth")
+        report.write_race(folder, "growth", title, slopes, ["slope of the straight line through log(time)"], facts)
+
+
+def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:
+    """Measured stages of whole detection beside their floors."""
+    table, rates = floors(plan)
+    title = "Stages of whole detection and their floors"
+    notes = ["A floor is what no method can do without: bytes over bandwidth, visits, multiply-adds.", *rates]
+    report.write_race(folder, "floors", title, table, notes, facts)
 
 
 def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[str]]:

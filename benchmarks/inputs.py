@@ -98,6 +98,11 @@ def calibration_cases(poses: str, count: int, seed: int) -> list[Case]:
     return [_calibration(f"calibration-{poses}-{seed}-{number}", poses, [seed, 7, number]) for number in range(count)]
 
 
+def process_cases(count: int) -> list[Case]:
+    """Rounds of processes that read nothing."""
+    return [Case("start", 0, {}, dict)] * count
+
+
 def truth(name: str) -> Arrays:
     """What is true about a case."""
     with np.load(_truth_file(name)) as arrays:

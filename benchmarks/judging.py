@@ -46,6 +46,11 @@ def judge_path(path: Floats, line: Floats) -> dict[str, float]:
     return {"path_mean_mm": mean, "path_max_mm": float(distances.max()), "path_span": span, "failed": float(failed)}
 
 
+def judge_nothing(answer: Arrays, truth: Arrays) -> dict[str, float]:
+    """For processes of which only the time counts; what goes wrong in them is an error."""
+    return {"failed": 0.0}
+
+
 def beside(points: Floats, line: Floats) -> tuple[Floats, Floats]:
     """Distances (n,) of points from a line (K, 3) of straight pieces, and where along it they lie, 0..1."""
     starts, steps = line[:-1], np.diff(line, axis=0)

@@ -49,6 +49,12 @@ def visit_s(rows: int, visits: int = 2_000_000, rounds: int = 5) -> float:
     return min(_seconds(np.take, table, at, 0) for _ in range(rounds)) / visits
 
 
+def sums_per_s(size: int = 1500, rounds: int = 5) -> float:
+    """Multiply-adds of float32 a second in the fastest of some products of large matrices, as many threads as BLAS."""
+    matrix = np.ones((size, size), dtype=np.float32)
+    return size**3 / min(_seconds(np.dot, matrix, matrix) for _ in range(rounds))
+
+
 def _seconds(function, *what) -> float:
     begin = time.perf_counter()
     function(*what)

@@ -242,6 +242,61 @@ FPFH = Race(
     ("matches_percent",),
 )
 
+OPEN3D_SCRIPT = "from benchmarks.peers.open3d_peer import detect; detect({sample!r}, {test!r})"
+
+
+def process(name: str, kind: str, *words: str, needs: str = "", compiled: bool = True, about: str = "") -> Racer:
+    """A whole process."""
+    settings = {"words": list(words), "compiled": compiled}
+    about = about or "`" + " ".join(words).replace("{", "").replace("}", "") + "`"
+    return Racer(name, "startup:process", kind, settings, about, needs, program=True)
+
+
+STARTUP = Race(
+    "startup",
+    "Whole processes that do nothing but start",
+    (
+        process("import grindvision", "ours", "{python}", "-c", "import grindvision"),
+        process("grindvision --help", "ours", "{python}", "-m", "grindvision", "--help"),
+        process("vision.detect, imported", "ours", "{python}", "-c", "from grindvision import vision; vision.detect"),
+        process("python, nothing else", "paper_variant", "{python}", "-c", "pass"),
+        process("import open3d", "peer", "{python}", "-c", "import open3d", needs="open3d"),
+    ),
+    lambda plan: [inputs.process_cases(plan.rounds)],
+    judging.judge_nothing,
+    (),
+    (),
+    spare=False,
+)
+
+FIRST_CALL = Race(
+    "first_call",
+    "Whole processes that detect: start, imports, files, report",
+    (
+        process(
+            "grindvision detect", "ours", "{python}", "-m", "grindvision", "detect", "{sample}", "{test}", "-o",
+            "{folder}/out", about="the command, kernels compiled before, report and picture written",
+        ),
+        process(
+            "grindvision detect, nothing compiled", "ours", "{python}", "-m", "grindvision", "detect", "{sample}",
+            "{test}", "-o", "{folder}/out", compiled=False, about="the same on the first day",
+        ),
+        process(
+            "vision.detect in a script", "ours", "{python}", "-c",
+            "from benchmarks.peers.ours import detect; detect({sample!r}, {test!r})",
+        ),
+        process("Open3D in a script", "peer", "{python}", "-c", OPEN3D_SCRIPT, needs="open3d"),
+        process(
+            "PCL, best", "peer", "{programs}/pcl_grind", "detect", "{sample}", "{test}", "{folder}/numbers", "200",
+            "plane", needs="PCL",
+        ),
+    ),
+    lambda plan: [inputs.detection_cases(plan.stage_sizes[0], plan.rounds, plan.seed)],
+    judging.judge_nothing,
+    (),
+    (),
+)  # fmt: skip
+
 LARGE_DETECT = Race(
     "large_detect",
     "Whole detection of 20 million points a scan",
@@ -264,5 +319,5 @@ LARGE_GROOVE = Race(
     lap="groove",
 )
 
-RACES = (DETECT, COARSE, GROOVE, DIFFERENCE, ICP, CALIBRATION, VOXEL, FPFH)
+RACES = (DETECT, COARSE, GROOVE, DIFFERENCE, ICP, CALIBRATION, VOXEL, FPFH, STARTUP, FIRST_CALL)
 ON_DEMAND = (LARGE_DETECT, LARGE_GROOVE)

@@ -137,7 +137,8 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
 
 def growth_picture(title: str, table: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
     """Time against points, both logarithmic, with each racer's slope; and the slopes."""
-    fig, axes = plt.subplots(figsize=(7.0, 4.4))
+    with plt.style.context(STYLE):
+        fig, axes = plt.subplots(figsize=(7.0, 4.4))
     slopes = []
     for name, own in table.groupby("racer", sort=False):
         own = own[own["failures"] < own["rounds"]].sort_values("points")
