@@ -38,9 +38,10 @@ def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
     weight = cluster.heights_mm[core][grid.order]
     total = np.bincount(cells, weight)
     nodes = np.column_stack([np.bincount(cells, weight * points[grid.order, k]) / total for k in range(3)])
-    main = euclidean_clusters(nodes, 2.2 * size) == 0
+    step = 2.2 * size
+    main = euclidean_clusters(nodes, step) == 0
     nodes, total = nodes[main], total[main]
-    around = within_radius(build_cells(nodes, 2.2 * size), nodes, 2.2 * size)
+    around = within_radius(build_cells(nodes, step), nodes, step)
     end = int(np.argmax(walking_distances(around, 0)))
     walked = walking_distances(around, end)
     area = len(nodes) * size**2 / 1.5
@@ -48,8 +49,9 @@ def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
     width = max(area / max(reach, size), 1.5 * size)
     if reach < 2.5 * width:
         return _axis(nodes, total), False, max(float(np.sqrt(area) / 1.5), 1.5 * size)
-    bands = np.minimum((walked / max(1.2 * width, 2 * size)).astype(np.int64), 10_000)
-    curve, closed = _ordered(around, nodes, total, bands, 2.2 * size)
+    # no step leads past a whole band, or a straight bead would seem to branch
+    bands = np.minimum((walked / max(1.2 * width, step)).astype(np.int64), 10_000)
+    curve, closed = _ordered(around, nodes, total, bands, step)
     if closed:
         return _counterclockwise(curve, cluster.normals.mean(axis=0)), True, max(width / 2, 1.5 * size)
     return curve, False, width
