@@ -60,12 +60,13 @@ def floors(plan: Plan, rounds: int = 5) -> tuple[pd.DataFrame, list[str]]:
     for size in plan.stage_sizes:
         case = inputs.detection_cases(size, 1, plan.seed)[0]
         taken: list[dict[str, float]] = []
-        for _ in range(rounds):
+        for _ in range(rounds + 1):
             lap = Laps()
             clouds = [read_cloud(case.inputs[of]).points for of in ("sample", "test")]
             lap("read")
             found = detect(*clouds)
             taken.append({**lap.laps_s, **found.timings_s})
+        del taken[0]  # the warm-up
         work = least_work(found)
         visit = machine.visit_s(len(found.test.surfels))
         visit_ns.append(f"{1e9 * visit:.2f} ns ({len(found.test.surfels):,} rows)")

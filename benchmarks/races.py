@@ -109,7 +109,7 @@ DETECT = Race(
 
 COARSE = Race(
     "coarse",
-    "First alignment of 20 pairs: features included",
+    "First alignment of two scans, features included",
     (
         ours("grindvision", "coarse", "features, proposals and verification of vision.detect"),
         open3d("Open3D RANSAC, 4 mm", "coarse", "FPFH, RANSAC on mutual matches, 100,000 tries", voxel_mm=4.0),
@@ -259,7 +259,7 @@ STARTUP = Race(
         process("import grindvision", "ours", "{python}", "-c", "import grindvision"),
         process("grindvision --help", "ours", "{python}", "-m", "grindvision", "--help"),
         process("vision.detect, imported", "ours", "{python}", "-c", "from grindvision import vision; vision.detect"),
-        process("python, nothing else", "paper_variant", "{python}", "-c", "pass"),
+        process("python, nothing else", "baseline", "{python}", "-c", "pass"),
         process("import open3d", "peer", "{python}", "-c", "import open3d", needs="open3d"),
     ),
     lambda plan: [inputs.process_cases(plan.rounds)],

@@ -1,4 +1,4 @@
-"""Peers that are no Python packages: used where they have been built, left out where not."""
+"""Peers that are no Python packages: used where ``./run bench`` has built them, left out where not."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from grindvision.book.places import BUILD
+from grindvision.clouds import write_ply
 from grindvision.errors import GrindvisionError
 
-#: What ``benchmarks/pcl_weld.cpp`` is built to; its first lines tell how.
-PCL_WELD = BUILD / "pcl_weld"
+#: What ``benchmarks/peers/pcl_weld.cpp`` is built to.
+PCL_WELD = BUILD / "peers" / "pcl_weld"
 
 
 def pcl_weld(points: ArrayLike, smoothing_mm: float, threshold_deg: float) -> dict[str, float] | None:
@@ -23,7 +23,7 @@ def pcl_weld(points: ArrayLike, smoothing_mm: float, threshold_deg: float) -> di
     Args:
         points: cloud (N, 3), mm.
         smoothing_mm: radius of its moving least squares.
-        threshold_deg: of the groove descriptor.
+        threshold_deg: of the groove descriptor, within 5 mm.
 
     Raises:
         GrindvisionError: the program failed.
@@ -31,10 +31,19 @@ def pcl_weld(points: ArrayLike, smoothing_mm: float, threshold_deg: float) -> di
     if not PCL_WELD.is_file():
         return None
     with tempfile.TemporaryDirectory() as folder:
-        cloud = Path(folder) / "cloud.f32"
-        np.asarray(points, dtype=np.float32).tofile(cloud)
-        words = [str(PCL_WELD), str(cloud), f"{smoothing_mm:g}", f"{threshold_deg:g}"]
+        cloud = Path(folder) / "cloud.ply"
+        write_ply(cloud, points)
+        words = [
+            str(PCL_WELD),
+            str(cloud),
+            str(Path(folder) / "labels"),
+            f"{smoothing_mm:g}",
+            "5",
+            f"{threshold_deg:g}",
+        ]
         done = subprocess.run(words, capture_output=True, text=True, timeout=600)
     if done.returncode:
-        raise GrindvisionError(f"{PCL_WELD} failed: {done.stderr.strip() or done.returncode}; build it anew")
-    return json.loads(done.stdout)
+        raise GrindvisionError(f"{PCL_WELD} failed: {done.stderr.strip() or done.returncode}; run ./run bench")
+    laps = json.loads(done.stdout)["laps_s"]
+    laps.pop("read")
+    return {**{f"{stage}_s": seconds for stage, seconds in laps.items()}, "total_s": sum(laps.values())}
