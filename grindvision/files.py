@@ -7,10 +7,11 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,7 @@ def write_whole(path: str | Path) -> Iterator[Path]:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror or error}; choose a folder you may write to") from None
+        raise FileError(f"cannot write {path}: {error.strerror or error}; free space or choose a folder") from None
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -66,6 +67,60 @@ def writable_folder(path: str | Path) -> Path:
         raise FileError(f"cannot write to {path}: {error.strerror}; choose a folder you may write to") from None
 
 
+@contextmanager
+def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> Iterator[Path]:
+    """Yield an empty folder; when the block succeeds its files move into ``folder``, when not nothing is left of them.
+
+    Args:
+        folder: made when it does not exist, and removed again when the block fails.
+        last: the file that moves last: where it stands, the set is complete.
+        outdated: names, with wildcards, of files that an earlier set may have left and this one has not.
+
+    Raises:
+        FileError: the folder cannot be made or written to, before the block; or a file cannot be put in place.
+    """
+    folder = Path(folder)
+    new = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        place = Path(tempfile.mkdtemp(prefix=".grindvision-", dir=folder))
+    except OSError as error:
+        _remove_empty(new)
+        raise FileError(f"cannot write to {folder}: {error.strerror}; choose a folder you may write to") from None
+    try:
+        yield place
+        _move_files(place, folder, last, outdated)
+    except FileError as error:
+        raise FileError(str(error).replace(f"{place}{os.sep}", f"{folder}{os.sep}")) from None
+    except OSError as error:
+        raise FileError(f"cannot write to {folder}: {error.strerror or error}; free space or choose a folder") from None
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        _remove_empty(new)
+
+
+def _move_files(place: Path, folder: Path, last: str, outdated: Sequence[str]) -> None:
+    files = sorted((path for path in place.rglob("*") if path.is_file()), key=lambda path: path.name == last)
+    names = [path.relative_to(place) for path in files]
+    blocked = next((folder / name for name in names if (folder / name).is_dir()), None)
+    if blocked is not None:
+        raise FileError(f"cannot write {blocked}: it is a folder; remove it or choose another place")
+    (folder / last).unlink(missing_ok=True)
+    for pattern in outdated:
+        for old in folder.glob(pattern):
+            if old.is_file():
+                old.unlink()
+    for path, name in zip(files, names, strict=True):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, folder / name)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` as UTF-8, whole or not at all."""
     with write_whole(path) as temporary:
@@ -74,7 +129,22 @@ def write_text(path: str | Path, text: str) -> None:
 
 def write_json(path: str | Path, content: Any) -> None:
     """Write ``content`` as indented JSON; NumPy scalars and arrays become numbers and lists, NaN becomes null."""
-    write_text(path, json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n")
+    write_text(path, json.dumps(plain(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def plain(value: Any) -> Any:
+    """Content that JSON can hold: NumPy scalars and arrays become numbers and lists, NaN becomes None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and value - value != 0:
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
 
 
 def sha256(path: str | Path) -> str:
@@ -202,17 +272,3 @@ def _floats(path: Path, table: pd.DataFrame, column: str) -> pd.Series:
 def _listed(names: Iterable[str], most: int = 16) -> str:
     names = list(names)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and value != value:
-        return None
-    if isinstance(value, Path):
-        return str(value)
-    return value

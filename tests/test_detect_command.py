@@ -56,7 +56,7 @@ def test_two_files_become_a_path_in_both_frames(scene, tmp_path, capsys, rng):
     assert report["rmse"] < 0.1
     assert report["timings_s"]["total"] > 0
     assert {"read", "coarse", "icp", "difference", "path"} <= set(report["timings_s"])
-    assert [entry["name"] for entry in report["inputs"]] == ["sample.ply", "test.ply"]
+    assert [entry["name"] for entry in report["inputs"]] == ["sample.ply", "test.ply", "pose.json"]
     assert len(read_cloud(out / "difference.ply")) > 100
     assert (out / "report.png").stat().st_size > 10_000
 

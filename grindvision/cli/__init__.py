@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 from grindvision import __version__
+from grindvision.cli.parameters import with_parameter_file
 from grindvision.errors import GrindvisionError, GrindvisionWarning
 
 COMMANDS = {
@@ -26,38 +30,86 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 when done, 2 on bad input (one line on stderr), 1 on anything else."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    name = next((word for word in words if not word.startswith("-")), "")
+    try:
+        with _termination_interrupts(), warnings.catch_warnings():
+            warnings.simplefilter("always", GrindvisionWarning)
+            warnings.showwarning = _one_line
+            code = _run(name, words)
+            sys.stdout.flush()
+            return code
+    except GrindvisionError as error:
+        return _failure(name, str(error), 2)
+    except KeyboardInterrupt:
+        return _failure(name, "interrupted; nothing half-written is left", 1)
+    except BrokenPipeError:
+        _forget_output()
+        return 1
+    except MemoryError:
+        return _failure(name, "not enough memory for this input; thin the cloud out or use a larger machine", 2)
+    except OSError as error:
+        _forget_output()
+        what = f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error)
+        return _failure(name, f"{what}; check space, rights and paths", 2)
+    except Exception as error:
+        if os.environ.get("GRINDVISION_DEBUG"):
+            raise
+        hint = "a defect of grindvision; please report it with the traceback that GRINDVISION_DEBUG=1 shows"
+        return _failure(name, f"{f'{type(error).__name__}: {error}'[:300]} ({hint})", 1)
+
+
+def _run(name: str, words: list[str]) -> int:
     parser = _Parser(
         prog="grindvision",
         description="Robot vision for grinding and welding, and the experiment book of both papers.",
         epilog="`grindvision COMMAND --help` explains a command.",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"grindvision {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((word for word in words if not word.startswith("-")), None)
-    for name, summary in COMMANDS.items():
-        command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
-        if name == chosen:
-            module = importlib.import_module(f"grindvision.cli.{name}")
+    for known, summary in COMMANDS.items():
+        text = summary[0].upper() + summary[1:] + "."
+        command = commands.add_parser(known, help=summary, description=text, allow_abbrev=False)
+        if known == name:
+            module = importlib.import_module(f"grindvision.cli.{known}")
             module.add_arguments(command)
+            at = words.index(name) + 1
+            words = words[:at] + with_parameter_file(command, words[at:])
     options = parser.parse_args(words)
+    return int(module.run(options))
+
+
+def _failure(name: str, message: str, code: int) -> int:
+    line = f"grindvision {name}: {' '.join(message.split())}\n"
+    with suppress(OSError):
+        sys.stderr.write(line)
+    return code
+
+
+def _forget_output() -> None:
+    """Let Python end without trying once more to write what stdout did not take."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", GrindvisionWarning)
-            warnings.showwarning = _one_line
-            return int(module.run(options))
-    except GrindvisionError as error:
-        print(f"grindvision {options.command}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"grindvision {options.command}: interrupted; nothing half-written is left", file=sys.stderr)
-        return 1
-    except Exception as error:
-        if os.environ.get("GRINDVISION_DEBUG"):
-            raise
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        hint = "a defect of grindvision; please report it with the traceback that GRINDVISION_DEBUG=1 shows"
-        print(f"grindvision {options.command}: {reason} ({hint})", file=sys.stderr)
-        return 1
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _termination_interrupts() -> Iterator[None]:
+    """A request to end (SIGTERM) is treated as an interrupt from the keyboard, so that nothing half-written is left."""
+
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from grindvision.cli.verdict import draw_verdict
 from grindvision.files import write_whole
 from grindvision.geometry import inverse, move_points
 
@@ -18,26 +20,42 @@ if TYPE_CHECKING:
 SAMPLE, TEST, HIGHLIGHT, GREY = "#0072B2", "#E69F00", "#D55E00", "#999999"
 
 
-def draw(found: Detection, path: Path) -> None:
-    """Draw the unregistered pair, the registered pair, the signed difference, and the path on the test scan."""
+def draw(found: Detection, warnings: Sequence[str], path: Path) -> None:
+    """Draw the verdict, the pair before and after registration, the signed difference, and the path."""
     test, sample = found.test.surfels.points, found.sample.surfels.points
     registered = move_points(inverse(found.T_sample_test), sample)
     view = _View(test)
-    figure = Figure(figsize=(12, 9), layout="constrained")
-    figure.suptitle(f"{found}\nconfidence {found.confidence:.2f}, frame of the test scan, mm", fontsize=11)
+    figure = Figure(figsize=(12, 10), layout="constrained")
     (before, after), (signed, path_view) = figure.subplots(2, 2)
     for axes, title, other in ((before, "before registration", sample), (after, "after registration", registered)):
         _dots(axes, view, other, SAMPLE, "sample")
         _dots(axes, view, test, TEST, "test")
         axes.set_title(title)
-        axes.legend(frameon=False, markerscale=6, loc="upper right")
+        axes.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     _draw_difference(signed, view, found)
     _draw_path(path_view, view, found)
     for axes in (before, after, signed, path_view):
         axes.set_aspect("equal")
         axes.set(xlabel="along the scan's longer side, mm", ylabel="across, mm")
+    draw_verdict(figure, *_verdict(found), warnings)
     with write_whole(path) as temporary:
         figure.savefig(temporary, dpi=100)
+
+
+def _verdict(found: Detection) -> tuple[str, str]:
+    registration = found.registration
+    facts = (
+        f"Registration: confidence {found.confidence:.2f}, overlap {registration.overlap:.0%},"
+        f" rms {registration.rms_mm:.3f} mm. Frame: scanner frame of the test scan."
+    )
+    if not found.beads:
+        level = found.difference.level_of_detection_mm
+        return f"Nothing to grind: no difference above {level:.2f} mm", facts
+    bead = found.beads[0]
+    size = f"{bead.length_mm:.1f} x {bead.width_mm:.1f} mm, {bead.height_mm:.2f} mm high"
+    beads = "1 bead" if len(found.beads) == 1 else f"{len(found.beads)} beads"
+    largest = "it measures" if len(found.beads) == 1 else "the largest measures"
+    return f"Found {beads} to grind, {len(found.path_points)} path points; {largest} {size}", facts
 
 
 class _View:
@@ -54,15 +72,15 @@ class _View:
 
 def _dots(axes: Axes, view: _View, points: np.ndarray, colour: str, label: str) -> None:
     seen = view(points[:: max(len(points) // 8000, 1)])
-    axes.plot(*seen.T, ",", color=colour, alpha=0.6)
-    axes.plot([], [], ".", color=colour, label=label)
+    axes.plot(*seen.T, ".", ms=1.6, mew=0, color=colour, alpha=0.6)
+    axes.plot([], [], "o", ms=6, color=colour, label=label)
 
 
 def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
     difference = found.difference
     limit = max(4 * difference.level_of_detection_mm, *(cluster.peak_mm for cluster in difference.clusters), 0)
     shown = np.isfinite(difference.signed_mm)
-    axes.plot(*view(difference.surfels[~shown]).T, ",", color=GREY)
+    axes.plot(*view(difference.surfels[~shown]).T, ".", ms=1.6, mew=0, color=GREY)
     colours = axes.scatter(
         *view(difference.surfels[shown]).T,
         c=difference.signed_mm[shown],
@@ -74,7 +92,7 @@ def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
     )
     axes.figure.colorbar(colours, ax=axes, label="above the good surface, mm", shrink=0.8)
     axes.set_title(
-        f"difference (level of detection {difference.level_of_detection_mm:.2f} mm; grey: nothing to compare)"
+        f"difference; seen above {difference.level_of_detection_mm:.2f} mm, grey: nothing to compare with", fontsize=11
     )
 
 
@@ -97,4 +115,4 @@ def _draw_path(axes: Axes, view: _View, found: Detection) -> None:
     for number, place in enumerate(view(bead.points), start=1):
         axes.annotate(str(number), place, xytext=(4, 4), textcoords="offset points")
     axes.set(xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]))
-    axes.set_title(f"path on the largest of {len(found.beads)} bead(s)")
+    axes.set_title("path" if len(found.beads) == 1 else f"path on the largest of {len(found.beads)} beads")

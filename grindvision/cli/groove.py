@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.detect import where_it_stood
+from grindvision.cli.parameters import check_count, number, whole
+from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
+from grindvision.cli.scans import (
+    CLOUD_FORMATS,
+    add_unit_argument,
+    add_viewpoint_argument,
+    read_scans,
+    rows_text,
+    where_it_stood,
+)
+from grindvision.errors import InputError
 
 if TYPE_CHECKING:
-    from grindvision.motion import Trajectory
-    from grindvision.vision.seam_path import SeamPath
     from grindvision.vision.weld import Weld
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
@@ -19,89 +26,99 @@ STEADY_MM = 8.0
 
 COLUMNS = "waypoint,x_mm,y_mm,z_mm,nx,ny,nz,roll_rad,pitch_rad,yaw_rad"
 
+EPILOG = """\
+results in DIR:
+  trajectory.csv   way points along the largest groove's root, outward normals, and the torch's roll, pitch, yaw
+                   (R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam), frame of CLOUD
+  trajectory_2.csv, ...  further grooves, smaller ones after larger ones
+  labels.npy       bool, one per point of CLOUD in its order: does it belong to a groove?
+  program.*        with --robot: the motion for the controller
+  report.png       did it work? the groove and the path on the cloud, the path's course
+  report.json      widths, depths, lengths, timings, versions, parameters; written last
+
+exit code: 0 done, 2 the input cannot be used or shows no groove (one line says why), 1 anything else
+
+examples:
+  grindvision groove plate.pcd -o weld --unit m
+  grindvision groove plate.ply -o weld --waypoints 80 --width 12
+  grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
+"""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this command."""
-    parser.add_argument("cloud", metavar="CLOUD", help="scan of the workpiece (PLY, PCD, XYZ, CSV, NPY)")
-    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--waypoints", type=int, default=50, help="way points along the groove (default 50)")
-    parser.add_argument(
-        "--unit", choices=("mm", "m"), default="mm", help="unit of the numbers in the file (default mm)"
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
+    scan = parser.add_argument_group("scan")
+    scan.add_argument("cloud", metavar="CLOUD", help=f"scan of the workpiece ({CLOUD_FORMATS})")
+    add_unit_argument(scan)
+    add_viewpoint_argument(scan, "--viewpoint", "CLOUD")
+    groove = parser.add_argument_group("groove and path")
+    groove.add_argument("--waypoints", type=whole, default=50, metavar="N", help="along each groove (default: 50)")
+    groove.add_argument(
+        "--width",
+        type=number,
+        metavar="MM",
+        help="rough width of the groove, for faint or unusual ones (default from the data: what stands out most)",
     )
-    parser.add_argument(
-        "--variant", choices=("ours", "paper"), default="ours", help="ours, or the second paper's method (default ours)"
-    )
-    parser.add_argument(
-        "--viewpoint",
-        type=float,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="where the camera stood, mm in the cloud's frame; the origin where that is possible",
+    groove.add_argument(
+        "--variant",
+        choices=("ours", "paper"),
+        default="ours",
+        help="ours, or the second paper's method, which follows one groove (default: ours)",
     )
     add_robot_arguments(parser)
+    add_output_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run it."""
+    check_count("--waypoints", options.waypoints, 2, 100_000)
+    if options.width is not None and not (options.width > 0 and options.variant == "ours"):
+        raise InputError(f"--width is {options.width:g} mm; give a width above 0, and leave --variant at ours")
+
     import numpy as np
 
     from grindvision.cli.groove_picture import draw
-    from grindvision.cli.report import Stopwatch, run_facts
-    from grindvision.clouds import check_unit, finite_points, read_cloud
-    from grindvision.files import write_json, write_text, write_whole
+    from grindvision.clouds import finite_points
+    from grindvision.files import write_text, write_whole
     from grindvision.motion.trajectory import tool_trajectory
     from grindvision.vision.weld import trace_weld
 
     job = robot_job(options)
-    stopwatch = Stopwatch()
-    with stopwatch.stage("read"):
-        cloud = read_cloud(options.cloud, options.unit)
-        points = finite_points(cloud, options.cloud)
-        check_unit(points, options.cloud, options.unit)
-    weld = trace_weld(cloud.points, options.waypoints, options.variant, options.viewpoint)
-    steady_mm = STEADY_MM if options.variant == "ours" else 0.0
-    trajectories = [
-        tool_trajectory(path.points, path.normals, closed=path.closed, steady_mm=steady_mm) for path in weld.paths
-    ]
-    results = _results(weld)
-    written = ["trajectory.csv", "labels.npy", "report.json", "report.png"]
-    folder = Path(options.output)
-    motion = None
-    if job is not None:
-        with stopwatch.stage("motion"):
-            motion = job.plan(trajectories[0], points)
-    with stopwatch.stage("write"):
-        write_text(folder / "trajectory.csv", trajectory_table(weld.path, trajectories[0]))
-        for number, (path, trajectory) in enumerate(zip(weld.paths[1:], trajectories[1:], strict=True), start=2):
-            written.append(f"trajectory_{number}.csv")
-            write_text(folder / written[-1], trajectory_table(path, trajectory))
-        with write_whole(folder / "labels.npy") as temporary:
-            np.save(temporary, weld.labels)
-        if motion is not None:
-            written.append(job.write(motion, folder))
-            results["motion"] = motion_facts(motion)
-    facts = run_facts(options, [options.cloud], ("numpy", "scipy", "numba", "matplotlib"), stopwatch)
-    facts["timings_s"] = {**weld.timings_s, **facts["timings_s"]}
-    draw(weld, cloud.points, folder / "report.png")
-    write_json(folder / "report.json", results | facts)
-    if job is not None:
-        print(where_it_stood(job.T_base_scanner))
-    print(f"{weld}\nwritten: {', '.join(written)} in {folder}")
+    libraries = ("numpy", "scipy", "numba", "matplotlib")
+    outdated = ("trajectory_[0-9]*.csv", "program.csv", "program.json", "program.script")
+    with Run(options, ("cloud",), libraries, 6 if job else 5, outdated) as work:
+        with work.stage("read"):
+            (cloud,) = read_scans((options.cloud,), options.unit)
+            points = finite_points(cloud, options.cloud)
+        weld = trace_weld(cloud.points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
+        work.finished("detect")
+        steady_mm = STEADY_MM if options.variant == "ours" else 0.0
+        with work.stage("torch"):
+            trajectories = [
+                tool_trajectory(path.points, path.normals, closed=path.closed, steady_mm=steady_mm)
+                for path in weld.paths
+            ]
+        results = _results(weld)
+        if job is not None:
+            with work.stage("motion"):
+                motion = job.plan(trajectories[0], points)
+                job.write(motion, work.place)
+                results["motion"] = motion_facts(motion)
+        with work.stage("write"):
+            for rank, (path, trajectory) in enumerate(zip(weld.paths, trajectories, strict=True), start=1):
+                name = "trajectory.csv" if rank == 1 else f"trajectory_{rank}.csv"
+                write_text(work.place / name, rows_text(COLUMNS, path.points, path.normals, trajectory.rpy_rad))
+            with write_whole(work.place / "labels.npy") as temporary:
+                np.save(temporary, weld.labels)
+        with work.stage("picture"):
+            draw(weld, cloud.points, work.warnings, work.place / "report.png")
+        stood = "" if job is None else where_it_stood(job.T_base_scanner)
+        work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, stood)
     return 0
 
 
-def trajectory_table(path: SeamPath, trajectory: Trajectory) -> str:
-    """The CSV text of way points in mm, outward normals, and the torch's roll, pitch and yaw in rad."""
-    rows = [
-        f"{number}," + ",".join(f"{value:.4f}" for value in point) + "," + ",".join(f"{v:.6f}" for v in (*normal, *rpy))
-        for number, (point, normal, rpy) in enumerate(
-            zip(path.points, path.normals, trajectory.rpy_rad, strict=True), start=1
-        )
-    ]
-    return "\n".join([COLUMNS, *rows]) + "\n"
-
-
-def _results(weld: Weld) -> dict[str, object]:
+def _results(weld: Weld) -> dict[str, Any]:
     import numpy as np
 
     grooves = [
@@ -121,6 +138,18 @@ def _results(weld: Weld) -> dict[str, object]:
         "groove_points": int(weld.labels.sum()),
         "path_length_mm": weld.path.length_mm,
         "euler_order": "R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam",
-        "message": str(weld),
         "grooves": grooves,
     }
+
+
+def _from_the_data(options: argparse.Namespace, weld: Weld) -> dict[str, Any]:
+    import numpy as np
+
+    values: dict[str, Any] = {}
+    if options.unit is None:
+        values["unit"] = "mm unless the file says m"
+    if weld.spacing_mm is not None:
+        values["spacing_mm"] = weld.spacing_mm
+    if options.width is None and weld.grooves:
+        values["width"] = float(np.median(weld.grooves[0].width_mm))
+    return values

@@ -1,13 +1,16 @@
-"""report.png of ``grindvision groove``: the cloud with its groove and path from above, and the path's course."""
+"""report.png of ``grindvision groove``: the cloud with its groove and path from above, the path's course, a cut."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from grindvision.cli.verdict import draw_verdict
 from grindvision.files import write_whole
 
 if TYPE_CHECKING:
@@ -15,13 +18,14 @@ if TYPE_CHECKING:
 
 GROOVE, PATH, GREY = "#0072B2", "#D55E00", "#bbbbbb"
 MOST_DOTS = 40_000
+LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
-def draw(weld: Weld, points: np.ndarray, path: Path) -> None:
-    """Draw the cloud (N, 3) against the mean normal of the path, the groove's points and way points on it."""
+def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path) -> None:
+    """Draw the verdict, the cloud (N, 3) seen against the path's mean normal, the path's course and a cut."""
     points, labels = points.reshape(-1, 3), weld.labels.ravel()
-    kept = np.flatnonzero(np.isfinite(points).all(axis=1))
-    kept = kept[:: max(len(kept) // MOST_DOTS, 1)]
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    kept = finite[:: max(len(finite) // MOST_DOTS, 1)]
     up = weld.path.normals.mean(axis=0)
     up = up / np.linalg.norm(up)
     middle = weld.path.points.mean(axis=0)
@@ -29,9 +33,9 @@ def draw(weld: Weld, points: np.ndarray, path: Path) -> None:
     flat = flat - np.outer(flat @ up, up)
     along = np.linalg.svd(flat, full_matrices=False)[2][0]
     axes_across = np.stack([along, np.cross(up, along)], axis=1)
-    figure = Figure(figsize=(11, 9), layout="constrained")
-    figure.suptitle(str(weld), fontsize=10)
-    view, course = figure.subplots(2, 1, height_ratios=(3, 1))
+    figure = Figure(figsize=(11, 10), layout="constrained")
+    panels = figure.subplot_mosaic([["view", "view"], ["course", "cut"]], height_ratios=(3, 1))
+    view, course = panels["view"], panels["course"]
     for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "groove")):
         seen = (points[kept][chosen] - middle) @ axes_across
         view.plot(*seen.T, ".", ms=1, color=colour)
@@ -39,12 +43,45 @@ def draw(weld: Weld, points: np.ndarray, path: Path) -> None:
     for number, seam in enumerate(weld.paths, start=1):
         way = (seam.points - middle) @ axes_across
         view.plot(*way.T, ".-", ms=4, lw=1, color=PATH, label=f"path {number}" if len(weld.paths) > 1 else "path")
-        view.annotate("start", way[0], textcoords="offset points", xytext=(4, 6), color=PATH)
+        view.annotate("start", way[0], textcoords="offset points", xytext=(4, 6), bbox=LABEL)
     view.set(aspect="equal", xlabel="along the groove, mm", ylabel="across, mm")
-    view.legend(frameon=False, loc="upper right")
+    view.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     heights = (weld.path.points - middle) @ up
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(weld.path.points, axis=0), axis=1))])
     course.plot(lengths, heights, ".-", color=PATH)
-    course.set(xlabel="way along the path, mm", ylabel="height, mm")
+    course.set(xlabel="way along the path, mm", ylabel="height of the path, mm")
+    _draw_cut(panels["cut"], weld, points[finite], labels[finite])
+    draw_verdict(figure, *_verdict(weld), warnings)
     with write_whole(path) as temporary:
         figure.savefig(temporary, dpi=100)
+
+
+def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) -> None:
+    """Points within a thin slice across the path's middle."""
+    at = len(weld.path.points) // 2
+    origin, up = weld.path.points[at], weld.path.normals[at]
+    along = weld.path.points[min(at + 1, len(weld.path.points) - 1)] - weld.path.points[at - 1]
+    along = along - up * (along @ up)
+    along = along / np.linalg.norm(along)
+    reach = 1.5 * np.ptp((points[labels] - origin) @ np.cross(up, along)) if not weld.grooves else None
+    reach = 1.5 * float(np.median(weld.grooves[0].width_mm)) if weld.grooves else reach
+    near = points[(np.abs(points - origin) < 1.5 * reach).all(axis=1)]
+    near_labels = labels[(np.abs(points - origin) < 1.5 * reach).all(axis=1)]
+    slice_of = np.abs((near - origin) @ along) < reach / 20
+    places = (near[slice_of] - origin) @ np.stack([np.cross(up, along), up], axis=1)
+    inside = near_labels[slice_of]
+    for chosen, colour in ((~inside, GREY), (inside, GROOVE)):
+        axes.plot(*places[chosen].T, ".", ms=3, color=colour)
+    axes.plot(0, 0, "o", ms=7, color=PATH, mec="black")
+    axes.set(xlim=(-reach, reach), xlabel="across the path's middle, mm", ylabel="height over the path, mm")
+
+
+def _verdict(weld: Weld) -> tuple[str, str]:
+    if not weld.grooves:
+        return "Found a groove, by the paper's method", f"{weld}. Frame: the cloud's."
+    groove = weld.grooves[0]
+    size = f"{groove.length_mm:.0f} mm long, {np.median(groove.width_mm):.1f} mm wide"
+    depth = f"{np.median(groove.depth_mm):.1f} mm deep"
+    if len(weld.grooves) == 1:
+        return f"Found 1 groove: {size}, {depth}", f"{weld.path}. Frame: the cloud's."
+    return f"Found {len(weld.grooves)} grooves; the largest: {size}, {depth}", f"{weld.path}. Frame: the cloud's."

@@ -7,13 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.detect import read_pose
+from grindvision.cli.parameters import number
+from grindvision.cli.scans import read_pose
 from grindvision.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.motion import Motion, Robot, Trajectory
+
+
+PROGRAMS = ("csv", "json", "urscript")
+
+#: Acceleration of every joint of an arm from a table, rad/s^2, a gentle setting; thickness of its links, mm.
+ACCELERATION_RAD_S2, LINK_RADIUS_MM = 2.0, 60.0
 
 
 @dataclass(frozen=True)
@@ -53,13 +60,20 @@ class RobotJob:
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that ask for a robot's programme."""
-    group = parser.add_argument_group("robot programme")
-    group.add_argument("--robot", metavar="ur3|FILE.urdf", help="arm that carries the torch; adds DIR/program.*")
-    group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default tool0)")
-    group.add_argument("--program", choices=("csv", "json", "urscript"), help="format of the programme (default csv)")
-    group.add_argument("--scanner-pose", metavar="FILE.json", help="4x4 matrix T_base_scanner, bare or under that key")
-    group.add_argument("--torch-speed", type=float, metavar="MM_S", help="speed along the seam (default 8 mm/s)")
-    group.add_argument("--table-top", type=float, metavar="MM", help="height of the table in the base (default 0 mm)")
+    group = parser.add_argument_group("robot programme (all need --robot)")
+    group.add_argument(
+        "--robot",
+        metavar="ur3|FILE.urdf|FILE.csv",
+        help="arm that carries the torch; adds DIR/program.*. A CSV holds the modified DH table and joint limits:"
+        " joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad,lower_rad,upper_rad,speed_rad_s",
+    )
+    group.add_argument(
+        "--scanner-pose", metavar="FILE.json", help="needed: 4x4 matrix T_base_scanner, mm, bare or under that key"
+    )
+    group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default: tool0)")
+    group.add_argument("--program", choices=PROGRAMS, help="format of the programme (default: csv)")
+    group.add_argument("--torch-speed", type=number, metavar="MM_S", help="along the seam, mm/s (default: 8)")
+    group.add_argument("--table-top", type=number, metavar="MM", help="height of the table in the base (default: 0)")
 
 
 def robot_job(options: argparse.Namespace) -> RobotJob | None:
@@ -84,6 +98,10 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         if options.flange is not None:
             raise InputError("--flange is for a URDF file; the flange of ur3 is known")
         robot = ur3(welding_torch())
+    elif Path(options.robot).suffix.lower() == ".csv":
+        if options.flange is not None:
+            raise InputError("--flange is for a URDF file; a table ends at its last joint")
+        robot = _table_robot(options.robot)
     else:
         robot = urdf_robot(options.robot, welding_torch(), flange=options.flange or "tool0")
     form = options.program or "csv"
@@ -93,6 +111,22 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     if not 0 < speed < float("inf"):
         raise InputError(f"--torch-speed is {speed:g} mm/s; give a number above 0")
     return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0)
+
+
+def _table_robot(path: str) -> Robot:
+    """Arm of a modified DH table with joint limits beside it; its links are capsules from joint to joint."""
+    from grindvision.arm import read_arm
+    from grindvision.files import read_table
+    from grindvision.motion import JointLimits, mdh_robot, welding_torch
+
+    arm = read_arm(path)
+    table = read_table(path, ("lower_rad", "upper_rad", "speed_rad_s"))
+    lower, upper, speed = (table[name].to_numpy() for name in ("lower_rad", "upper_rad", "speed_rad_s"))
+    try:
+        limits = JointLimits(lower, upper, speed, 0 * speed + ACCELERATION_RAD_S2)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return mdh_robot(Path(path).stem, arm, welding_torch(), limits, LINK_RADIUS_MM)
 
 
 def motion_facts(motion: Motion) -> dict[str, Any]:

@@ -4,55 +4,91 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from grindvision.errors import InputError
+from grindvision.cli.parameters import check_count, whole
+from grindvision.cli.report import Run, add_output_arguments
 
 if TYPE_CHECKING:
     import numpy as np
 
-SUBJECTS = {
-    "grinding": "sample.ply, test.ply, truth.json: two scans of a part, without and with the bead to be ground",
-    "welding": "line/, curve/, box/, cylinder/, each with cloud.ply, labels.npy, truth.json",
-    "calibration": "measurements.csv, robot.csv (nominal), truth.json: spheres seen by arm-borne scanner and tracker",
-}
+    from grindvision.cell import CalibrationExperiment, GrindingScene, WeldScene
+
+EPILOG = """\
+results in DIR, all synthetic, mm:
+  grinding     sample.ply, test.ply, truth.json: two scans of a part, without and with the bead to be ground
+  welding      line/, curve/, box/, cylinder/, each with cloud.ply, labels.npy, truth.json
+  calibration  measurements.csv, robot.csv (nominal), truth.json: spheres seen by arm-borne scanner and tracker
+  and always   report.png (what was made), parameters.toml, report.json (versions, timings, seed; written last)
+
+exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
+
+examples:
+  grindvision simulate grinding -o inputs --seed 1
+  grindvision detect inputs/sample.ply inputs/test.ply -o result
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Describe the command line."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(f"{name}: {files}" for name, files in SUBJECTS.items())
-    parser.add_argument("subject", choices=SUBJECTS, help="what to simulate")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write to")
-    parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
+    """Options of this command."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
+    parser.add_argument("subject", choices=("grinding", "welding", "calibration"), help="what to simulate")
+    group = parser.add_argument_group("simulation")
+    group.add_argument(
+        "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same files (default: 0)"
+    )
+    add_output_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate and write; returns 0.
+    """Simulate and write; returns 0."""
+    check_count("--seed", options.seed, 0, 10**18)
 
-    Raises:
-        InputError: negative seed. FileError: the folder cannot be written to.
-    """
     import numpy as np
 
-    from grindvision.files import writable_folder
+    from grindvision.cli.simulate_picture import draw
 
-    if options.seed < 0:
-        raise InputError(f"--seed is {options.seed}; give zero or a positive whole number")
-    folder = writable_folder(options.output)
-    write = {"grinding": _grinding, "welding": _welding, "calibration": _calibration}[options.subject]
-    write(folder, np.random.default_rng(options.seed), options.seed)
+    make, write = {
+        "grinding": (_grinding_scene, _write_grinding),
+        "welding": (_weld_scenes, _write_welding),
+        "calibration": (_calibration_experiment, _write_calibration),
+    }[options.subject]
+    with Run(options, (), ("numpy", "scipy", "matplotlib"), 4) as work:
+        with work.stage("simulate"):
+            made = make(np.random.default_rng(options.seed))
+        with work.stage("write"):
+            write(made, work.place, options.seed)
+        with work.stage("picture"):
+            draw(made, options.subject, options.seed, work.place / "report.png")
+        message = "; ".join(str(one) for one in made.values()) if isinstance(made, dict) else str(made)
+        work.report(message, {"seed": options.seed, "origin": "synthetic"}, {})
     return 0
 
 
-def _grinding(folder: Path, rng: np.random.Generator, seed: int) -> None:
+def _grinding_scene(rng: np.random.Generator) -> GrindingScene:
+    from grindvision import cell
+
+    return cell.grinding_scene(rng)
+
+
+def _weld_scenes(rng: np.random.Generator) -> dict[str, WeldScene]:
+    from grindvision import cell
+
+    return {kind: cell.weld_scene(kind, own) for kind, own in zip(cell.KINDS, rng.spawn(len(cell.KINDS)), strict=True)}
+
+
+def _calibration_experiment(rng: np.random.Generator) -> CalibrationExperiment:
+    from grindvision import cell
+
+    return cell.calibration_experiment(rng)
+
+
+def _write_grinding(scene: GrindingScene, folder: Path, seed: int) -> None:
     import numpy as np
 
-    from grindvision import cell
     from grindvision.clouds import write_ply
     from grindvision.files import write_json
 
-    scene = cell.grinding_scene(rng)
     bead = scene.part.bead
     truth = {
         "seed": seed,
@@ -71,18 +107,15 @@ def _grinding(folder: Path, rng: np.random.Generator, seed: int) -> None:
     write_ply(folder / "sample.ply", scene.sample.points)
     write_ply(folder / "test.ply", scene.test.points)
     write_json(folder / "truth.json", truth)
-    print(scene)
 
 
-def _welding(folder: Path, rng: np.random.Generator, seed: int) -> None:
+def _write_welding(scenes: dict[str, WeldScene], folder: Path, seed: int) -> None:
     import numpy as np
 
-    from grindvision import cell
     from grindvision.clouds import write_ply
     from grindvision.files import write_json, write_whole
 
-    for kind, piece_rng in zip(cell.KINDS, rng.spawn(len(cell.KINDS)), strict=True):
-        scene = cell.weld_scene(kind, piece_rng)
+    for kind, scene in scenes.items():
         groove = scene.piece.groove
         truth = {
             "seed": seed,
@@ -97,17 +130,14 @@ def _welding(folder: Path, rng: np.random.Generator, seed: int) -> None:
         with write_whole(folder / kind / "labels.npy") as temporary:
             np.save(temporary, scene.labels)
         write_json(folder / kind / "truth.json", truth)
-        print(scene)
 
 
-def _calibration(folder: Path, rng: np.random.Generator, seed: int) -> None:
-    from grindvision import cell
+def _write_calibration(experiment: CalibrationExperiment, folder: Path, seed: int) -> None:
     from grindvision.arm import PARAMETERS, write_arm
     from grindvision.files import write_json, write_text
 
-    experiment = cell.calibration_experiment(rng)
     robot = experiment.robot
-    truth = {
+    truth: dict[str, Any] = {
         "seed": seed,
         "unit": "mm and rad",
         "frames": {
@@ -127,9 +157,7 @@ def _calibration(folder: Path, rng: np.random.Generator, seed: int) -> None:
         "sphere_centres_base_mm": experiment.plan.centres_mm,
         "T_base_scanner": experiment.T_base_scanner,
     }
-    write_text(
-        folder / "measurements.csv", experiment.table.to_csv(index=False, float_format="%.9f", lineterminator="\n")
-    )
+    table = experiment.table.to_csv(index=False, float_format="%.9f", lineterminator="\n")
+    write_text(folder / "measurements.csv", table)
     write_arm(robot.nominal, folder / "robot.csv")
     write_json(folder / "truth.json", truth)
-    print(experiment)

@@ -1,0 +1,69 @@
+"""report.png of ``grindvision simulate``: what was made, seen from above, its truth in orange."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from grindvision.cli.verdict import draw_verdict
+from grindvision.files import write_whole
+
+if TYPE_CHECKING:
+    from grindvision.cell import CalibrationExperiment, GrindingScene, WeldScene
+
+GREY, MARKED, TRUTH, TEST_ROWS = "#bbbbbb", "#0072B2", "#D55E00", "#E69F00"
+MOST_DOTS = 20_000
+
+
+def draw(made: Any, subject: str, seed: int, path: Path) -> None:
+    """Draw what ``simulate`` made of a subject."""
+    panels, size = {"grinding": (2, (11, 5)), "welding": (4, (11, 9.5)), "calibration": (2, (11, 5.5))}[subject]
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(2 if panels == 4 else 1, 2).ravel()
+    facts = {"grinding": _draw_grinding, "welding": _draw_welding, "calibration": _draw_calibration}[subject](
+        axes, made
+    )
+    draw_verdict(figure, f"Simulated: {subject}, seed {seed}. Synthetic, nothing here was measured", facts, ())
+    with write_whole(path) as temporary:
+        figure.savefig(temporary, dpi=100)
+
+
+def _draw_grinding(axes: np.ndarray, scene: GrindingScene) -> str:
+    _dots(axes[0], scene.sample.points, GREY)
+    _dots(axes[1], scene.test.points, GREY)
+    axes[1].plot(*scene.ridge_mm[:, :2].T, color=TRUTH, lw=2, label="ridge of the bead (truth)")
+    axes[1].legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
+    axes[0].set_title("sample.ply, the good part")
+    axes[1].set_title("test.ply, the part with a bead")
+    return str(scene)
+
+
+def _draw_welding(axes: np.ndarray, scenes: dict[str, WeldScene]) -> str:
+    for panel, (kind, scene) in zip(axes, scenes.items(), strict=True):
+        points, labels = scene.points.reshape(-1, 3), scene.labels.ravel()
+        _dots(panel, points[~labels], GREY)
+        _dots(panel, points[labels], MARKED)
+        panel.plot(*scene.root_mm[:, :2].T, color=TRUTH, lw=1.5)
+        panel.set_title(f"{kind}: {len(points):,} points, {labels.sum():,} in the groove")
+    return "Blue: points of the groove, orange: its root (truth). Frame: the camera's, seen from the camera."
+
+
+def _draw_calibration(axes: np.ndarray, experiment: CalibrationExperiment) -> str:
+    table = experiment.table
+    train = (table["split"] == "train").to_numpy()
+    for panel, letter, title in ((axes[0], "b", "tracker frame"), (axes[1], "s", "scanner frame")):
+        for rows, colour, name in ((train, MARKED, "train"), (~train, TEST_ROWS, "test")):
+            panel.plot(table[f"{letter}x_mm"][rows], table[f"{letter}y_mm"][rows], "o", ms=4, color=colour, label=name)
+        panel.set_title(f"sphere centres in the {title}")
+        panel.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+        panel.legend(frameon=True, framealpha=0.9, edgecolor="none")
+    return str(experiment)
+
+
+def _dots(axes: Axes, points: np.ndarray, colour: str) -> None:
+    axes.plot(*points[:: max(len(points) // MOST_DOTS, 1), :2].T, ".", ms=1.8, mew=0, color=colour)
+    axes.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")

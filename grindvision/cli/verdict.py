@@ -1,0 +1,34 @@
+"""The top of every report.png: did it work? In words, on a coloured band, with what the user should know below."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+GOOD, LOOK = "#D8EFE3", "#FCE8B8"
+WIDTH = 118
+
+
+def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[str], most: int = 4) -> None:
+    """Write a figure's title: the verdict, the facts, the warnings; green without warnings, yellow with them.
+
+    The figure's layout must be ``constrained``; it keeps the room free.
+    """
+    lines = [facts]
+    for text in warnings[:most]:
+        lines += textwrap.wrap(f"Look: {text}", WIDTH, subsequent_indent="    ")[:2]
+    if len(warnings) > most:
+        lines.append(f"and {len(warnings) - most} more in report.json")
+    height = 0.42 + 0.19 * len(lines)
+    share = height / figure.get_figheight()
+    figure.get_layout_engine().set(rect=(0, 0, 1, 1 - share))
+    band = figure.add_axes((0, 1 - share, 1, share), zorder=-1)
+    band.set_in_layout(False)
+    band.set_facecolor(LOOK if warnings else GOOD)
+    band.set(xticks=[], yticks=[])
+    for spine in band.spines.values():
+        spine.set_visible(False)
+    band.text(0.012, 1 - 0.08 / height, verdict, transform=band.transAxes, va="top", fontsize=14, fontweight="bold")
+    band.text(0.012, 1 - 0.36 / height, "\n".join(lines), transform=band.transAxes, va="top", fontsize=9.5)
