@@ -37,7 +37,7 @@ class CellGrid:
     order: Integers
     starts: Integers
     table_keys: Integers
-    table_cells: Integers
+    table_cells: NDArray[np.int32]
 
     def __str__(self) -> str:
         return f"{len(self.points):,} points in {len(self.starts) - 1:,} cells of {self.size_mm:.3g} mm"
@@ -151,7 +151,7 @@ def find_slot(table_keys, key):
 def grown_table(keys, count, size):
     """Fresh table of ``size`` slots (a power of two) holding the first ``count`` keys."""
     table_keys = np.full(size, _EMPTY, dtype=np.int64)
-    table_cells = np.zeros(size, dtype=np.int64)
+    table_cells = np.empty(size, dtype=np.int32)
     for cell in range(count):
         slot = find_slot(table_keys, keys[cell])
         table_keys[slot] = keys[cell]

@@ -10,6 +10,7 @@ distinct ones kept; ``grindvision.vision.verification`` then decides among them.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,9 +172,9 @@ def propose_poses(
             *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
         )
         found = _poses_of_pairs(*matches, first[:2000], second[:2000])
-        found = found[np.argsort(-_votes(found, *part, 3 * spacing, similar), kind="stable")[:150]]
+        found = found[np.argsort(-_all_votes(found, part, 3 * spacing, similar), kind="stable")[:150]]
         poses = np.concatenate([poses, found])
-        votes = np.concatenate([votes, _votes(found, *matches, 3 * spacing, similar)])
+        votes = np.concatenate([votes, _all_votes(found, matches, 3 * spacing, similar)])
         order = np.argsort(-votes, kind="stable")
         poses, votes = poses[order], votes[order]
         _, best = distinct_poses(poses, votes, centre, 0.15 * extent, np.radians(20), 2)
@@ -195,8 +196,14 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
     a, b = a - middle, b - middle
     half = 0.5 * np.einsum("ij,ij->i", b, b)
     result = np.empty((len(a), count), dtype=np.int64)
-    for start in range(0, len(a), 512):
-        _least_per_row(half - a[start : start + 512] @ b.T, result[start : start + 512])
+
+    def search(first: int) -> None:
+        rows = slice(first, first + 64)  # few enough for their products to stay in the cache
+        scores = a[rows] @ b.T
+        _least_per_row(np.subtract(half, scores, out=scores), result[rows])
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(search, range(0, len(a), 64)))
     return result
 
 
@@ -241,6 +248,13 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
     unusual = np.linalg.norm(features - np.median(features, axis=0), axis=1)
     weights = unusual + 0.1 * unusual.mean() + 1e-12
     return rng.choice(len(features), count, replace=False, p=weights / weights.sum())
+
+
+def _all_votes(poses: Floats, matches: tuple[Floats, ...], apart: float, similar: int) -> NDArray[np.int64]:
+    """``_votes`` of many poses, in two threads."""
+    with ThreadPoolExecutor(2) as pool:
+        halves = pool.map(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2))
+        return np.concatenate(list(halves))
 
 
 @njit(cache=True, nogil=True)
