@@ -15,8 +15,15 @@ from grindvision.geometry import check_rigid, move_points
 @pytest.mark.parametrize(
     ("subject", "files"),
     [
-        ("grinding", ["sample.ply", "test.ply", "truth.json"]),
-        ("welding", [f"{k}/{f}" for k in ("line", "curve", "box", "cylinder") for f in ("cloud.ply", "labels.npy")]),
+        ("grinding", ["sample.ply", "test.ply", "pose.json", "truth.json"]),
+        (
+            "welding",
+            [
+                f"{k}/{f}"
+                for k in ("line", "curve", "box", "cylinder")
+                for f in ("cloud.ply", "labels.npy", "pose.json")
+            ],
+        ),
         ("calibration", ["measurements.csv", "robot.csv", "truth.json"]),
     ],
 )
@@ -44,6 +51,9 @@ def check_grinding(folder):
     ridge = np.array(truth["ridge_test_mm"])
     bead = test[truth["bead_points_test"]]
     assert np.linalg.norm(bead.mean(axis=0) - ridge.mean(axis=0)) < 3
+    T_base_test = check_rigid(json.loads((folder / "pose.json").read_text())["T_base_scanner"], "pose.json")
+    np.testing.assert_allclose(move_points(T_base_test, ridge), truth["ridge_base_mm"], atol=1e-9)
+    assert T_base_test[2, 2] < -0.7  # the scanner looks down
     sample = read_cloud(folder / "sample.ply").points
     moved = move_points(truth["T_sample_test"], test)
     assert np.linalg.norm(moved.mean(axis=0) - sample.mean(axis=0)) < 20

@@ -13,30 +13,14 @@ from scipy.spatial.transform import Rotation
 from grindvision.book.robot_view import RobotView
 from grindvision.book.session import COLOURS
 from grindvision.cell import WeldPiece
-from grindvision.errors import InputError
-from grindvision.geometry import angle_between, inverse, rigid, rotation_about
+from grindvision.cell.places import T_base_piece
+from grindvision.geometry import angle_between, inverse, rigid
 from grindvision.motion import Motion, urscript
 
 if TYPE_CHECKING:
     import pyvista
 
 Floats = NDArray[np.float64]
-
-#: Where a piece's own frame stands in the UR3's base: x, y, z of its upper side in mm, turn about z in deg.
-PLACES = {
-    "line": (300.0, 0.0, 12.0, 90.0),
-    "curve": (300.0, 0.0, 12.0, 90.0),
-    "box": (300.0, 0.0, 60.0, 90.0),
-    "cylinder": (300.0, 0.0, 150.0, 0.0),
-}
-
-
-def T_base_piece(kind: str) -> Floats:
-    """Pose (4, 4) of a weld piece on the UR3's table, its underside on the table's top at z = 0."""
-    if kind not in PLACES:
-        raise InputError(f"no place for a piece {kind!r}; there are {', '.join(PLACES)}")
-    x_mm, y_mm, top_mm, turn_deg = PLACES[kind]
-    return rigid(rotation_about([0, 0, 1], np.radians(turn_deg)), [x_mm, y_mm, top_mm])
 
 
 def programme_errors(motion: Motion) -> tuple[float, float]:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 results in DIR, all synthetic, mm:
-  grinding     sample.ply, test.ply, truth.json: two scans of a part, without and with the bead to be ground
-  welding      line/, curve/, box/, cylinder/, each with cloud.ply, labels.npy, truth.json
+  grinding     sample.ply, test.ply, pose.json, truth.json: two scans of a part, without and with the bead to be ground,
+               and where the scanner stood for the second one in the robot's base frame
+  welding      line/, curve/, box/, cylinder/, each with cloud.ply, labels.npy, pose.json, truth.json
   calibration  measurements.csv, robot.csv (nominal), truth.json: spheres seen by arm-borne scanner and tracker
   and always   report.png (what was made), parameters.toml, report.json (versions, timings, seed; written last)
 
@@ -25,7 +26,7 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 
 examples:
   grindvision simulate grinding -o inputs --seed 1
-  grindvision detect inputs/sample.ply inputs/test.ply -o result
+  grindvision detect inputs/sample.ply inputs/test.ply -o result --scanner-pose inputs/pose.json
 """
 
 
@@ -86,32 +87,39 @@ def _calibration_experiment(rng: np.random.Generator) -> CalibrationExperiment:
 def _write_grinding(scene: GrindingScene, folder: Path, seed: int) -> None:
     import numpy as np
 
+    from grindvision.cell.places import T_BASE_PART
     from grindvision.clouds import write_ply
     from grindvision.files import write_json
+    from grindvision.geometry import move_points
 
     bead = scene.part.bead
+    T_base_test = T_BASE_PART @ scene.test.T_world_scanner
     truth = {
         "seed": seed,
         "unit": "mm",
         "frames": {
             "sample": "scanner frame of sample.ply",
             "test": "scanner frame of test.ply; T_sample_test @ p_test = p_sample",
+            "base": "the robot's base; pose.json holds T_base_scanner of test.ply",
         },
         "T_sample_test": scene.T_sample_test,
         "overlap": scene.overlap,
         "bead": {"length_mm": bead.length_mm, "width_mm": bead.width_mm, "height_mm": bead.height_mm},
         "ridge_test_mm": scene.ridge_mm,
         "ridge_normals_test": scene.ridge_normals,
+        "ridge_base_mm": move_points(T_base_test, scene.ridge_mm),
         "bead_points_test": np.flatnonzero(scene.on_bead),
     }
     write_ply(folder / "sample.ply", scene.sample.points)
     write_ply(folder / "test.ply", scene.test.points)
+    write_json(folder / "pose.json", {"T_base_scanner": T_base_test})
     write_json(folder / "truth.json", truth)
 
 
 def _write_welding(scenes: dict[str, WeldScene], folder: Path, seed: int) -> None:
     import numpy as np
 
+    from grindvision.cell.places import T_base_piece
     from grindvision.clouds import write_ply
     from grindvision.files import write_json, write_whole
 
@@ -129,6 +137,7 @@ def _write_welding(scenes: dict[str, WeldScene], folder: Path, seed: int) -> Non
         write_ply(folder / kind / "cloud.ply", scene.points)
         with write_whole(folder / kind / "labels.npy") as temporary:
             np.save(temporary, scene.labels)
+        write_json(folder / kind / "pose.json", {"T_base_scanner": T_base_piece(kind) @ scene.scan.T_world_scanner})
         write_json(folder / kind / "truth.json", truth)
 
 
