@@ -72,7 +72,7 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
         table = report.table_of(found, one.accuracy, one.lap)
         notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
         report.write_race(folder, one.name, one.title, table, notes, facts, one.drawn)
-        if one is races.DETECT:
+        if one.name == races.DETECT.name:
             write_growth(folder, table, facts)
             write_floors(folder, plan, facts)
     reached = goals(folder)

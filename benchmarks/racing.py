@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,11 @@ class Worker:
 
 
 def race(
-    racers: Sequence[Racer], rounds: Sequence[Case], judge: Judge, spare: bool = True, say: Callable = print
+    racers: Sequence[Racer],
+    rounds: Sequence[Case],
+    judge: Judge,
+    spare: bool = True,
+    say: Callable = partial(print, flush=True),
 ) -> list[Measurement]:
     """Let the racers run the cases of ``rounds`` in turn, after an uncounted warm-up on the first one.
 

@@ -1,0 +1,193 @@
+"""The races: each runs on tiny inputs, its tables hold what is promised, and no racer can see the truth."""
+
+import inspect
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks import __main__ as bench
+from benchmarks import goals, inputs, judging, races, racing, report
+from benchmarks.racing import Case, Measurement, Racer
+
+TINY = replace(races.QUICK, poses=1)
+FACTS = {"processor": "any", "seed": "10"}
+STAGES = {
+    one.name: one for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.VOXEL, races.FPFH)
+}
+PROMISED = ["case", "points", "racer", "kind", "rounds", "median_s", "min_s", "max_s", "cpu_s", "of_fastest_peer"]
+MEMORY = ["peak_mib", "growth_mib", "failures"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory) -> Path:
+    """Small scans in a cache of their own."""
+    folder = tmp_path_factory.mktemp("races")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inputs, "CACHE", folder)
+        patch.setattr(inputs, "FINE", 0.3)
+        patch.setattr(inputs, "SIZES", {"50k": 1})
+        patch.setattr(inputs, "SPHERES", {"54": 9})
+        yield folder
+
+
+def in_process(racer: Racer, case: Case) -> dict:
+    module, name = racer.task.split(":")
+    return getattr(import_module(f"benchmarks.peers.{module}"), name)(**case.inputs, **racer.settings)
+
+
+def quick_peers(race: races.Race) -> list[Racer]:
+    """The racers that pip installs, less those that take long."""
+    there, _ = bench.present(race.racers, "PCL is left out of this test")
+    return [racer for racer in there if not racer.program and "tries" not in racer.settings]
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_stage_is_raced_and_judged(name):
+    race = STAGES[name]
+    case = race.cases(TINY)[0][0]
+    for racer in quick_peers(race):
+        answer = in_process(racer, case)
+        accuracy = race.judge(answer, case.truth())
+        assert set(race.accuracy) <= set(accuracy)
+        assert not accuracy["failed"], f"{racer.name}: {accuracy}"
+        assert all(seconds >= 0 for seconds in answer["laps_s"].values())
+        assert not race.lap or race.lap in answer["laps_s"]
+
+
+def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache):
+    race = replace(races.DETECT, racers=races.DETECT.racers[:2])
+    absent = Racer("nobody", "open3d_peer:detect", needs="no_such_module")
+    bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2), tmp_path)
+    table = pd.read_csv(tmp_path / "bench_detect.csv")
+    assert list(table.columns) == [*PROMISED, *MEMORY, *races.DETECT.accuracy, "stages_s"]
+    assert table["racer"].tolist() == ["grindvision", "Open3D"]
+    assert (table["rounds"] == 2).all() and (table["failures"] == 0).all()
+    assert (table["growth_mib"] < table["peak_mib"]).all() and (table["growth_mib"] > 0).all()
+    assert (table["min_s"] <= table["median_s"]).all() and (table["median_s"] <= table["max_s"]).all()
+    ours, peer = table["median_s"]
+    assert table["of_fastest_peer"].tolist() == pytest.approx([ours / peer, 1.0], rel=1e-5)
+    text = (tmp_path / "bench_detect.md").read_text()
+    assert "absent: nobody: no Python module no_such_module" in text
+    assert "RANSAC" in text and "seed 10" in text
+    assert {path.suffix for path in tmp_path.glob("bench_detect.*")} == {".csv", ".md", ".svg", ".png"}
+    floors = pd.read_csv(tmp_path / "bench_floors.csv")
+    assert {"read", "features", "icp", "difference"} <= set(floors["stage"])
+    assert (floors["floor_s"] < floors["measured_s"]).all()
+
+
+def test_groove_race_is_judged_by_labels_and_root(cache):
+    case = inputs.groove_cases("box", 1, 10, pixels=0.5)[0]
+    accuracy = judging.judge_weld(in_process(races.GROOVE.racers[0], case), case.truth())
+    assert accuracy["overlap_percent"] > 80 and accuracy["path_mean_mm"] < 1.5 and not accuracy["failed"]
+
+
+def test_no_racer_is_told_the_truth(cache):
+    lists = [race.cases(TINY) for race in (*STAGES.values(), races.DETECT)]
+    for case in (case for rounds in lists for cases in rounds for case in cases):
+        for file in case.inputs.values():
+            assert "truth" not in Path(file).relative_to(cache).parts if Path(file).is_relative_to(cache) else True
+            assert "held_out" not in Path(file).read_text(errors="replace")[:10_000]
+    for module in Path(inspect.getfile(import_module("benchmarks.peers"))).parent.glob("*.py"):
+        text = module.read_text()
+        assert not any(
+            word in text for word in ("grindvision.cell", "benchmarks.inputs", "benchmarks.judging", "truth(")
+        )
+
+
+def test_racers_need_no_truth_on_disk(cache):
+    case = races.DETECT.cases(TINY)[0][0]
+    hidden = (cache / "truth").rename(cache / "hidden")
+    try:
+        assert len(in_process(races.DETECT.racers[0], case)["path"]) == 6
+    finally:
+        hidden.rename(cache / "truth")
+
+
+def test_a_held_out_table_does_not_hold_the_tracker(cache):
+    case = inputs.calibration_cases("54", 1, 10)[0]
+    assert not [name for name in pd.read_csv(case.inputs["test"]) if name.startswith("b")]
+
+
+def test_inputs_come_from_the_seed(cache):
+    one, same, other = (inputs.detection_cases("50k", 1, seed)[0] for seed in (10, 10, 11))
+    assert one.inputs == same.inputs and one.inputs != other.inputs
+    assert Path(one.inputs["test"]).read_bytes() != Path(other.inputs["test"]).read_bytes()
+
+
+def measurement(name: str, wall_s: float, kind: str = "peer", number: int = 1, **accuracy: float) -> Measurement:
+    racer, case = Racer(name, "any:any", kind), Case("one", 100, {}, dict)
+    return Measurement(racer, case, number, wall_s, wall_s, 50.0, 10.0, {"read": 0.1, "icp": wall_s / 2}, "", accuracy)
+
+
+def test_a_fast_wrong_answer_does_not_set_the_pace():
+    found = [measurement("ours", 1.0, "ours"), measurement("right", 4.0), measurement("wrong", 0.5, failed=1.0)]
+    table = report.table_of(found, (), "icp").set_index("racer")
+    assert table["of_fastest_peer"].to_dict() == {"ours": 0.25, "right": 1.0, "wrong": 0.125}
+    assert table.loc["wrong", "failures"] == 1
+    assert table.loc["ours", "icp_s"] == 0.5 and table.loc["ours", "icp_of_fastest_peer"] == 0.25
+    assert found[1].without_reading().wall_s == pytest.approx(3.9)
+
+
+def test_an_error_of_a_racer_is_a_failure_with_its_reason(cache):
+    case = inputs.voxel_cases("50k", 1, 10)[0]
+    racer = Racer("broken", "ours:voxels", settings={"size_mm": -1.0})
+    (found,) = racing.race([racer], [case], judging.judge_voxels, say=lambda line: None)
+    assert found.failed and "voxel size" in found.error
+
+
+def test_paths_are_measured_to_the_line_and_not_to_its_points():
+    line = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
+    distances, arcs = judging.beside(np.array([[5.0, 0, 1], [10, 5, 0], [12, 10, 0]]), line)
+    assert distances == pytest.approx([1, 0, 2]) and arcs == pytest.approx([0.25, 0.75, 1.0])
+    assert judging.judge_path(np.array([[5.0, 0, 0], [5, 0, 0]]), line)["failed"]
+    assert judging.judge_path(np.empty((0, 3)), line)["failed"]
+
+
+def test_pose_errors_are_those_of_the_truth_turned_and_shifted():
+    middle, shift = np.array([0.0, 0, 400]), np.array([3.0, 0, 4])
+    off = np.eye(4)
+    off[:3, 3] = shift
+    found = judging.judge_pose({"T_sample_test": off}, {"T_sample_test": np.eye(4), "middle": middle})
+    assert found == pytest.approx({"rotation_deg": 0.0, "shift_mm": 5.0, "failed": 0.0}, abs=1e-6)
+
+
+def test_growth_of_a_square_law_has_slope_two(tmp_path):
+    rows = [
+        {"racer": "r", "kind": "peer", "points": n, "median_s": n**2, "failures": 0, "rounds": 1} for n in (10, 100)
+    ]
+    _, slopes = report.growth_picture("title", pd.DataFrame(rows))
+    assert slopes["slope"].tolist() == pytest.approx([2.0])
+
+
+def test_goals_are_read_from_the_tables(tmp_path):
+    rows = [
+        {"case": "hard", "racer": "grindvision", "kind": "ours", "median_s": 0.4, "failures": 1},
+        {"case": "hard", "racer": "peer", "kind": "peer", "median_s": 0.2, "failures": 0},
+    ]
+    pd.DataFrame(rows).to_csv(tmp_path / "bench_coarse.csv", index=False)
+    assert goals.goals(tmp_path)["verdict"].tolist() == ["missed", "met"]
+    assert len(goals.goals(tmp_path / "nothing")) == 0
+
+
+@pytest.mark.parametrize("words", [["--only", "nothing"], ["--rounds", "0"]])
+def test_bad_words_are_refused(words, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        bench.main(words)
+    assert stopped.value.code == 2
+    assert "nothing" in capsys.readouterr().err or words[0] == "--rounds"
+
+
+def test_what_is_left_out_never_reaches_figures():
+    assert races.Plan().complete
+    assert not races.QUICK.complete and not replace(races.Plan(), rounds=1).complete
+
+
+def test_every_pip_peer_is_pinned():
+    listed = (Path(__file__).parents[1] / "benchmarks" / "requirements.txt").read_text()
+    assert "kiss-matcher==" in listed
+    assert find_spec("small_gicp") and find_spec("open3d")
