@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +145,7 @@ def race(
                 if racer.name not in resting:
                     one = _measure(workers[racer.name], case, number, judge, answer)
                     found.append(replace(one, **memory.get(racer.name, {})))
-                    say(_line(found[-1]))
+                    print(_line(found[-1]), flush=True)
             if number == 1 and spare:
                 fastest = min(one.wall_s for one in found)
                 resting = {one.racer.name for one in found if one.wall_s > TOO_SLOW * fastest}
