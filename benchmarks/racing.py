@@ -116,7 +116,6 @@ def race(
     rounds: Sequence[Case],
     judge: Judge,
     spare: bool = True,
-    say: Callable = partial(print, flush=True),
 ) -> list[Measurement]:
     """Let the racers run the cases of ``rounds`` in turn, after an uncounted warm-up on the first one.
 
