@@ -53,7 +53,7 @@ def refine_bent(
         solution, information, weights, spread = _robust(design, residual, variance, prior)
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
     mistaken = _solved(information, design.T @ (weights[:, None] * hidden)) * _hidden_sizes(solution[6:])
-    covariance = _block_covariance(moved, design, residual + design @ solution, weights, information)
+    covariance = block_covariance(moved, design, residual + design @ solution, weights, information)
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
         iterations=start.iterations + iterations, covariance=covariance[:6, :6],
@@ -101,13 +101,18 @@ def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) ->
     return solution, information, weights, spread
 
 
-def _block_covariance(places: Floats, design: Floats, residual: Floats, weights: Floats, information: Floats) -> Floats:
+def block_covariance(
+    places: Floats, design: Floats, residual: Floats, weights: Floats, information: Floats, across: int = BLOCKS_ACROSS
+) -> Floats:
     """Covariance of the unknowns when errors are alike within blocks of space and independent between them.
+
+    ``design`` (N, k), ``residual`` (N,) and ``weights`` (N,) belong to a fit with ``information`` (k, k) to points at
+    ``places`` (N, 3), along whose diagonal ``across`` blocks lie.
 
     The jackknife: how far the unknowns move when a block is left out, squared, summed over the blocks. Few blocks, the
     steep ones, decide about motions across the surface; the sandwich estimator takes their fit for their truth.
     """
-    block = float(np.linalg.norm(np.ptp(places, axis=0))) / BLOCKS_ACROSS
+    block = float(np.linalg.norm(np.ptp(places, axis=0))) / across
     grid = build_cells(places, block)
     moves = []
     for members in np.split(grid.order, grid.starts[1:-1]):

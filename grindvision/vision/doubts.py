@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 from grindvision.geometry import inverse, move_points, rotation_about
 from grindvision.geometry.neighbours import bounds
+from grindvision.vision.bending import block_covariance
 from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan, surface_in_frame
+from grindvision.vision.verification import VerifiedPose
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +25,9 @@ LEAST_OVERLAP = 0.35
 
 #: Two sound scanners agree on a length to about a thousandth; this is four times as much.
 MOST_SCALE = 0.004
+
+#: Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow.
+SURE = 0.5
 
 #: Scans whose extents differ by more than this factor do not show the same part in the same unit.
 MOST_TIMES_LARGER = 5.0
@@ -45,18 +50,21 @@ def check_same_unit(sample: Floats, test: Floats) -> None:
 def mirrored_refusal(
     test: Floats,
     viewpoint_mm: ArrayLike | None,
-    register: Callable[[Floats, ArrayLike | None], object],
+    register: Callable[[Floats, ArrayLike | None], tuple[Scan, Scan, VerifiedPose]],
     refusal: DegenerateError,
 ) -> GrindvisionError:
     """The reason for a refused registration: ``refusal`` itself, or that ``test`` (M, 3) fits as its mirror image.
 
     Args:
-        register: registers a test scan seen from a viewpoint; raises ``DegenerateError`` where it does not fit.
+        register: registers a test scan seen from a viewpoint and returns the pose last; raises ``DegenerateError``
+            where it does not fit.
     """
     mirror = np.array([1.0, -1.0, 1.0])
     try:
-        register(test * mirror, None if viewpoint_mm is None else viewpoint_mm * mirror)
+        *_, pose = register(test * mirror, None if viewpoint_mm is None else viewpoint_mm * mirror)
     except DegenerateError:
+        return refusal
+    if pose.confidence < SURE:
         return refusal
     return InputError(
         "the test scan fits the sample only as its mirror image: one of the two was exported left-handed (two axes"
@@ -86,7 +94,8 @@ def doubts(sample: Scan, test: Scan, registration: FineRegistration, difference:
 def relative_scale(
     sample: Scan, test: Scan, registration: FineRegistration, surfels: int = 2000, steps: int = 12
 ) -> tuple[float, float]:
-    """How many times larger the test scan is than the sample, and the standard deviation of that for random noise.
+    """How many times larger the test scan is than the sample, and the standard deviation of that for errors
+    that are alike over a quarter of the scan, as those of a scanner are.
 
     Point-to-plane steps for shift, turn and scale from the registered pose, with Tukey's weights: beads do not count.
     """
@@ -110,7 +119,7 @@ def relative_scale(
             spread = 1.4826 * float(np.median(np.abs(rest))) + 1e-9
             weights = np.clip(1 - (rest / (4.685 * spread)) ** 2, 0, None) ** 2
         scale *= 1 + change[6]
-        deviation = spread * float(np.sqrt(np.linalg.pinv(square, hermitian=True)[6, 6]))
+        deviation = float(np.sqrt(block_covariance(places[shown], design, rest, weights, square, across=4)[6, 6]))
         turn = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
         places = (1 + change[6]) * (places - centre) @ turn.T + centre + change[:3]
         if abs(change[6]) < MOST_SCALE / 20:

@@ -139,8 +139,7 @@ def choose_pose(
     candidates = judge.refined_all(poses[:tried])
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
-    candidates.sort(key=lambda candidate: -candidate[1].score)
-    best, verdict = candidates[0]
+    best, verdict = max(candidates, key=lambda candidate: candidate[1].score)
     covered = min(1.0, len(target.surfels) / len(source.surfels))
     if (
         verdict.score < LEAST_SCORE * covered
@@ -153,14 +152,17 @@ def choose_pose(
             " are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
-    rivals = candidates[1:] + judge.turned(best, verdict)
+    candidates += judge.turned(best, verdict)
+    first, (best, verdict) = best, max(candidates, key=lambda candidate: candidate[1].score)
+    if best is not first:
+        judge.refuse_free_motions(best, verdict)
     rival = max(
-        (v for other, v in rivals if judge.differ(other.T_target_source, best.T_target_source)),
+        (v for other, v in candidates if judge.differ(other.T_target_source, best.T_target_source)),
         key=lambda v: v.score,
         default=Agreement(0.0, 0.0),
     )
     margin = verdict.score - max(rival.score, 0.0)
-    other = next((other for other, v in rivals if v is rival), best)
+    other = next((other for other, v in candidates if v is rival), best)
     if margin < LEAST_MARGIN * covered and judge.fits_as_well(other, best):
         raise DegenerateError(
             f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as"
