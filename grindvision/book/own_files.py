@@ -64,7 +64,7 @@ def source(task: str, given: Mapping[str, str], simulated: Sequence[str], inputs
     return Source(task, tuple(folder / name for name in simulated), folder, True, f"synthetic (seed {seed})")
 
 
-def cloud_facts(path: str | Path, unit: str = "mm") -> dict[str, float | str]:
+def cloud_facts(path: str | Path, unit: str | None = None) -> dict[str, float | str]:
     """What to measure of a scan before anything else: number of points, size, spacing and noise, in mm.
 
     ``spacing_mm`` is the median distance to the nearest neighbour, ``noise_mm`` the median spread of the points about
