@@ -66,7 +66,8 @@ NEAREST = "points farther than 0.5 mm from their nearest neighbour"
 
 def ours(name: str, task: str, about: str, kind: str = "ours", **settings: object) -> Racer:
     """One of our own racers."""
-    return Racer(name, f"ours:{task}", kind, settings, about)
+    room = {"groove": "welding", "calibrate": "calibration"}.get(task, "grinding")
+    return Racer(name, f"ours_{room}:{task}", kind, settings, about)
 
 
 def open3d(name: str, task: str, about: str, **settings: object) -> Racer:
@@ -283,7 +284,7 @@ FIRST_CALL = Race(
         ),
         process(
             "vision.detect in a script", "ours", "{python}", "-c",
-            "from benchmarks.peers.ours import detect; detect({sample!r}, {test!r})",
+            "from benchmarks.peers.ours_grinding import detect; detect({sample!r}, {test!r})",
         ),
         process("Open3D in a script", "peer", "{python}", "-c", OPEN3D_SCRIPT, needs="open3d"),
         process(

@@ -111,12 +111,7 @@ class Worker:
         self.errors.close()
 
 
-def race(
-    racers: Sequence[Racer],
-    rounds: Sequence[Case],
-    judge: Judge,
-    spare: bool = True,
-) -> list[Measurement]:
+def race(racers: Sequence[Racer], rounds: Sequence[Case], judge: Judge, spare: bool = True) -> list[Measurement]:
     """Let the racers run the cases of ``rounds`` in turn, after an uncounted warm-up on the first one.
 
     Memory is that of a racer's first run in a fresh process, so our kernels are compiled in another one before.

@@ -135,7 +135,7 @@ def test_a_fast_wrong_answer_does_not_set_the_pace():
 
 def test_an_error_of_a_racer_is_a_failure_with_its_reason(cache):
     case = inputs.voxel_cases("50k", 1, 10)[0]
-    racer = Racer("broken", "ours:voxels", settings={"size_mm": -1.0})
+    racer = Racer("broken", "ours_grinding:voxels", settings={"size_mm": -1.0})
     (found,) = racing.race([racer], [case], judging.judge_voxels)
     assert found.failed and "voxel size" in found.error
 

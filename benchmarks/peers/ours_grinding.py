@@ -1,14 +1,10 @@
-"""grindvision's own racers: the public functions at their defaults."""
+"""grindvision's own racers of detection and its stages: the public functions at their defaults."""
 
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from benchmarks.peers.laps import Laps
-from grindvision.arm import read_arm
-from grindvision.calibration import calibrate as fit_cell
-from grindvision.calibration import read_measurements
 from grindvision.clouds import read_cloud
 from grindvision.vision import detection
 from grindvision.vision.difference import find_difference
@@ -19,7 +15,6 @@ from grindvision.vision.scan import choose_resolution, coarser, prepare_pair
 from grindvision.vision.surfels import build_surfels
 from grindvision.vision.verification import choose_pose
 from grindvision.vision.voxel_grid import voxel_grid
-from grindvision.vision.weld import trace_weld
 
 
 def detect(sample: str, test: str) -> dict:
@@ -105,28 +100,6 @@ def fpfh(sample: str, test: str, radius_mm: float = 10.0) -> dict:
     good, seen = (compute_fpfh(cloud.points, cloud.normals, radius_mm) for cloud in clouds)
     lap("fpfh")
     return {"sample": good, "test": seen, "laps_s": lap.laps_s}
-
-
-def groove(cloud: str, variant: str) -> dict:
-    """A cloud in, groove points and way points out."""
-    lap = Laps()
-    (points,) = _read(cloud)
-    lap("read")
-    found = trace_weld(points, variant=variant)
-    laps = {"groove": found.timings_s["detect"], "trajectory": found.timings_s["path"]}
-    return {"labels": found.labels, "path": found.path.points, "laps_s": {**lap.laps_s, **laps}}
-
-
-def calibrate(train: str, test: str, robot: str) -> dict:
-    """Scanner, arm and base from measurements; then the held-out spheres in the tracker's frame."""
-    lap = Laps()
-    arm = read_arm(robot).first(4)
-    measurements, held_out = read_measurements(train, arm.n), pd.read_csv(test)
-    lap("read")
-    found = fit_cell(measurements, arm)
-    lap("calibrate")
-    q_rad, seen_mm = held_out.filter(regex="q._rad").to_numpy(), held_out.filter(regex="s._mm").to_numpy()
-    return {"held_out": found.cell.points_tracker(q_rad, seen_mm), "laps_s": lap.laps_s}
 
 
 def _read(*files: str) -> list[np.ndarray]:

@@ -1,0 +1,17 @@
+"""grindvision's own racers of groove detection: the public functions at their defaults."""
+
+from __future__ import annotations
+
+from benchmarks.peers.laps import Laps
+from grindvision.clouds import read_cloud
+from grindvision.vision.weld import trace_weld
+
+
+def groove(cloud: str, variant: str) -> dict:
+    """A cloud in, groove points and way points out."""
+    lap = Laps()
+    points = read_cloud(cloud).points
+    lap("read")
+    found = trace_weld(points, variant=variant)
+    laps = {"groove": found.timings_s["detect"], "trajectory": found.timings_s["path"]}
+    return {"labels": found.labels, "path": found.path.points, "laps_s": {**lap.laps_s, **laps}}
