@@ -1,6 +1,7 @@
 """The exercises: masters are right, stubs are "not yet", every planted mistake gets its own hint, copies are fresh."""
 
 import ast
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +37,26 @@ def functions_of(notebook: Path) -> dict[str, Any]:
     return handed
 
 
+@cache
+def student_cells(chapter: str) -> tuple[dict[str, Any], dict[str, ast.Call]]:
+    """The names of a student copy after all its stubs have run, and its calls of the checker by exercise."""
+    path = next(STUDENTS.glob(f"{chapter}_*.ipynb"))
+    sources = [cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    names: dict[str, Any] = {}
+    exec(
+        compile("\n\n".join(source for source in sources if "def " in source or "import " in source), path, "exec"),
+        names,
+    )
+    calls = [ast.parse(source).body[0].value for source in sources if source.startswith("book.check(")]
+    return names, {call.args[0].value: call for call in calls}
+
+
 @pytest.mark.parametrize("task, mistake", PLANTED, ids=lambda x: getattr(x, "number", None) or x.name)
-def test_a_planted_mistake_gets_its_own_hint(task: Exercise, mistake: Any) -> None:
-    checked = book.check(task.number, mistake.variant)
+def test_a_student_copy_with_a_planted_mistake_gets_its_own_hint(task: Exercise, mistake: Any) -> None:
+    names, calls = student_cells(task.number[:2])
+    call = calls[task.number]
+    wrong = names | {call.args[1].id: mistake.variant}
+    checked = eval(ast.unparse(call), wrong)
     assert (checked.state, checked.mistake) == ("wrong", mistake.name)
     assert mistake.hint in str(checked)
 
