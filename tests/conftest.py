@@ -1,5 +1,7 @@
 """Settings of the whole test run: one thread per numerical library, no display, and where real data may be found."""
 
+import contextlib
+import io
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
@@ -31,3 +33,25 @@ def real_data():
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def _site_and_warnings(tmp_path_factory):
+    from built_site import build_whole_site
+
+    complaints = io.StringIO()
+    with contextlib.redirect_stderr(complaints):
+        site = build_whole_site(tmp_path_factory.mktemp("whole_site"))
+    return site, complaints.getvalue()
+
+
+@pytest.fixture(scope="session")
+def whole_site(_site_and_warnings) -> Path:
+    """Every page of the HTML book, built once (tests of it share the xdist group ``site``)."""
+    return _site_and_warnings[0]
+
+
+@pytest.fixture(scope="session")
+def site_warnings(_site_and_warnings) -> str:
+    """What the build of the HTML book said."""
+    return _site_and_warnings[1]

@@ -1,82 +1,185 @@
-"""The HTML book needs nothing from outside its own folder."""
+"""The HTML book as files: complete, readable without its own scripts, and with no dead link; no browser needed."""
 
 import re
-import shutil
-from html.parser import HTMLParser
 from pathlib import Path
-from urllib.parse import unquote
+from urllib.parse import unquote, urlsplit
 
-import nbformat
 import pandas as pd
 import pytest
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+import yaml
+from built_site import SAID, Page
 
-from grindvision.book.answers import write_scoreboard
-from grindvision.book.places import FIGURES
-from grindvision.book.site import build_site
+from grindvision.book.answers import scoreboard
+from grindvision.book.chapters import chapters
+from grindvision.book.places import FIGURES, ROOT
+from grindvision.book.site.chapter_pages import scoreboard_html
+from grindvision.book.site.findings import printed_numbers, rebuilt_numbers
+from grindvision.book.site.pictures import HEAVY_BYTES, figures_in, lightened, tables_in
+from grindvision.book.site.scenes import SCENES
 
-TEXT = "# Where the arm is\n\n![A picture](../figures/arm.svg)\n\nWith $T_{base,tip}$ and\n\n$$x = \\sum_i q_i$$"
-
-
-class Resources(HTMLParser):
-    """Collects what a browser loads for a page: scripts, styles, pictures."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        attributes = dict(attrs)
-        if tag in ("script", "img", "iframe") and attributes.get("src"):
-            self.found.append(attributes["src"])
-        if tag == "link" and attributes.get("rel") in ("stylesheet", "preload", "icon"):
-            self.found.append(attributes["href"])
+pytestmark = pytest.mark.xdist_group("site")
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("book")
-    shutil.copytree(FIGURES, folder / "figures")  # the front page shows some of them
-    (folder / "figures" / "arm.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"/>')
-    pd.DataFrame({"x_mm": [1.0]}).to_csv(folder / "figures" / "arm.csv", index=False)
-    (folder / "figures" / "poses.md").write_text("| pose |\n| --- |\n| 1 |\n\n*Base frame; printed*\n")
-    write_scoreboard(folder / "figures")
-    code = new_code_cell("1 + 1")
-    code.outputs = [new_output("execute_result", data={"text/plain": "the sum is two"}, execution_count=1)]
-    for place, cells in (("notebooks", [new_markdown_cell(TEXT)]), ("executed", [new_markdown_cell(TEXT), code])):
-        (folder / place).mkdir()
-        nbformat.write(new_notebook(cells=cells), folder / place / "07_arm.ipynb")
-    return build_site(folder, folder / "figures", folder / "notebooks", folder / "site").parent
+def pages(whole_site) -> dict[str, Page]:
+    found = (path for path in whole_site.rglob("*.html") if "_static" not in path.parts)
+    shown = {path.relative_to(whole_site).as_posix(): path for path in sorted(found)}
+    return {name: Page(path) for name, path in shown.items() if not name.startswith("scenes/")}
 
 
-def test_every_resource_of_every_page_is_a_file_of_the_site(site):
-    pages = list(site.rglob("*.html"))
-    assert {"index.html", "search.html", "07_arm.html", "scoreboard.html"} <= {page.name for page in pages}
-    for page in (page for page in pages if "_static" not in page.parts):
-        parser = Resources()
-        parser.feed(page.read_text(encoding="utf-8"))
-        assert parser.found
-        for resource in parser.found:
-            assert "//" not in resource, f"{page.name} loads {resource}"
-            assert (page.parent / unquote(resource.split("?")[0])).exists(), f"{page.name}: {resource} is not there"
+def text_of(whole_site: Path, name: str) -> str:
+    return (whole_site / name).read_text(encoding="utf-8")
 
 
-def test_styles_fetch_no_font_from_elsewhere(site):
-    for style in site.rglob("*.css"):
-        text = style.read_text(encoding="utf-8")
-        assert not re.search(r"(url\(|@import)\s*[\"']?\s*(https?:)?//", text), style
+def test_the_build_says_nothing(site_warnings):
+    assert site_warnings == ""
 
 
-def test_formulas_are_drawn_by_a_script_of_the_site(site):
-    page = (site / "notebooks" / "07_arm.html").read_text(encoding="utf-8")
-    assert page.count('class="math') == 2
-    assert "mathjax/tex-svg.js" in page and (site / "_static" / "mathjax" / "tex-svg.js").stat().st_size > 1e6
+def test_every_kind_of_page_is_there(pages):
+    wanted = {"index", "search", "findings", "gallery", "scenes", "conventions", "glossary", "references"}
+    wanted |= {"api/index", "api/vision", "data/README", "figures/scoreboard", "CHANGELOG", "CONTRIBUTING"}
+    wanted |= {f"notebooks/{path.stem}" for path in chapters().values()}
+    assert {f"{name}.html" for name in wanted} <= pages.keys()
 
 
-def test_executed_outputs_are_shown_and_searchable(site):
-    assert "the sum is two" in (site / "notebooks" / "07_arm.html").read_text(encoding="utf-8")
-    assert "notebooks/07_arm" in (site / "searchindex.js").read_text(encoding="utf-8")
+def test_every_page_can_be_reached_from_the_contents(pages):
+    index = pages["index.html"]
+    reached = {(index.path.parent / urlsplit(link).path).resolve() for link in index.links}
+    left = [name for name, page in pages.items() if page.path.resolve() not in reached]
+    assert not [name for name in left if not name.startswith(("figures/", "api/", "search", "py-modindex"))]
 
 
-def test_the_scoreboard_is_a_page(site):
-    assert "not yet" in (site / "figures" / "scoreboard.html").read_text(encoding="utf-8")
+def test_every_resource_of_every_page_is_a_file_of_the_site(pages):
+    for name, page in pages.items():
+        assert page.resources
+        for resource in page.resources:
+            assert "//" not in resource and not resource.startswith("data:text"), f"{name} loads {resource}"
+            assert (page.path.parent / unquote(resource.split("?")[0])).exists(), f"{name}: {resource} is not there"
+
+
+def test_styles_fetch_nothing_from_elsewhere(whole_site):
+    for style in whole_site.rglob("*.css"):
+        assert not re.search(r"(url\(|@import)\s*[\"']?\s*(https?:)?//", style.read_text(encoding="utf-8")), style
+
+
+def test_no_link_is_dead(pages):
+    dead = []
+    for name, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (page.path.parent / unquote(parts.path)).resolve() if parts.path else page.path
+            if not target.is_file():
+                dead.append(f"{name} -> {link}")
+            elif parts.fragment and target.suffix == ".html" and target.parent.name != "scenes":
+                there = next((p for p in pages.values() if p.path.resolve() == target.resolve()), None)
+                if there is None or unquote(parts.fragment) not in there.targets:
+                    dead.append(f"{name} -> {link}")
+    assert not dead
+
+
+def test_pages_are_in_order_for_those_who_hear_them(pages):
+    for name, page in pages.items():
+        assert page.language == "en", name
+        assert page.headings.count(1) == 1 and page.headings[0] == 1, f"{name}: headings {page.headings}"
+        assert all(b <= a + 1 for a, b in zip(page.headings, page.headings[1:], strict=False)), f"{name}: headings"
+        for picture in page.pictures:
+            alternative = picture.get("alt", "")
+            assert len(alternative) > 10 and not alternative.startswith("../"), f"{name}: {picture}"
+
+
+def test_executed_outputs_are_shown_and_searchable(whole_site):
+    assert SAID in text_of(whole_site, "notebooks/07_into_the_robots_frame.html")
+    assert "notebooks/07_into_the_robots_frame" in text_of(whole_site, "searchindex.js")
+
+
+def test_every_chapter_begins_with_its_rows_of_the_scoreboard(whole_site):
+    board = scoreboard(FIGURES)
+    for number, chapter in chapters().items():
+        page, rows = text_of(whole_site, f"notebooks/{chapter.stem}.html"), board[board["chapter"] == number]
+        assert page.count('class="verdict') + page.count("class='verdict") == len(rows)
+        if len(rows):
+            assert page.index("Held against the paper") < page.index("What you will learn")
+
+
+def test_a_verdict_is_told_in_words():
+    row = {"item": "a<b", "quantity": "q", "unit": "mm", "paper": float("nan"), "rebuilt": 1.25, "tolerance": 0.5}
+    text = scoreboard_html(pd.DataFrame([row | {"verdict": "not reproduced"}]))
+    assert "a&lt;b" in text and ">not reproduced</span>" in text and "1.25 mm" in text and "nan" not in text
+
+
+def test_the_gallery_shows_every_figure_and_table_with_its_files(whole_site, pages):
+    page = pages["gallery.html"]
+    files = {Path(urlsplit(link).path).name for link in page.links}
+    for path in FIGURES.glob("*.svg"):
+        assert {path.name, f"{path.stem}.png", f"{path.stem}.csv"} <= files
+        assert any(Path(picture["src"]).stem.startswith(path.stem) for picture in page.pictures)
+    for name in tables_in(FIGURES):
+        assert {f"{name}.csv", f"{name}.md", f"{name}.html"} <= files
+
+
+def test_heavy_drawings_are_shown_as_light_pictures(whole_site):
+    shown = list((whole_site / "_images").glob("*.svg"))
+    assert shown and max(path.stat().st_size for path in shown) <= HEAVY_BYTES
+
+
+def test_only_pictures_are_replaced_by_light_ones_not_links(tmp_path):
+    for name, size in (("big", HEAVY_BYTES + 1), ("small", 100)):
+        (tmp_path / f"{name}.svg").write_text("<svg>" + " " * size + "</svg>")
+        (tmp_path / f"{name}.png").write_bytes((FIGURES / "fig05.png").read_bytes())
+    text = '![a](../figures/big.svg) <img src="figures/big.svg"> [a](figures/big.svg) ![b](figures/small.svg)'
+    light = '![a](../figures/big.webp) <img src="figures/big.webp"> [a](figures/big.svg) ![b](figures/small.svg)'
+    assert lightened(text, figures_in(tmp_path)) == light
+
+
+def test_findings_say_what_the_printed_tables_say(whole_site):
+    page = text_of(whole_site, "findings.html")
+    numbers = printed_numbers() | rebuilt_numbers(FIGURES)
+    for said in (
+        f"{numbers['motion_rms_um']:.2f} µm rms",
+        f"from {numbers['length_least']:.2f} to {numbers['length_most']:.2f}",
+        f"number {numbers['centre_rank']} of {numbers['heights']}",
+        f"tell {numbers['rank_before']} combinations",
+    ):
+        assert said in page
+    assert numbers["motion_rms_um"] == pytest.approx(0.174, abs=0.001)
+    assert (numbers["off_least_deg"], numbers["off_most_deg"]) == pytest.approx((35.08, 52.54), abs=0.01)
+    assert (numbers["rank_before"], numbers["rank_behind"], numbers["centre_rank"]) == (20, 19, 4)
+    assert numbers["accurate_nominal_mm"] == pytest.approx(0.129, abs=0.002)
+
+
+def test_every_word_of_the_glossary_leads_to_a_page_that_explains_it():
+    text = (ROOT / "grindvision" / "book" / "site_sources" / "glossary.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^(\S.*)\n  (.+)$", text.split("```{glossary}\n")[1], re.MULTILINE)
+    assert len(entries) >= 35 and [word for word, _ in entries] == sorted((w for w, _ in entries), key=str.lower)
+    assert all(re.search(r"\]\((notebooks/\S+\.ipynb|conventions\.md)\)$", meaning) for _, meaning in entries)
+
+
+def test_scenes_stand_under_the_figures_they_belong_to(whole_site):
+    for scene in SCENES:
+        assert set(scene.figures) <= {path.stem for path in FIGURES.glob("*.svg")}
+        assert f"scenes/{scene.name}.html" in text_of(whole_site, "scenes.html")
+    assert "scenes/registration.html" in text_of(whole_site, "notebooks/05_registering_two_scans.html")
+    assert "scenes/cell.html" in text_of(whole_site, "notebooks/07_into_the_robots_frame.html")
+    assert "scenes/welds.html" in text_of(whole_site, "notebooks/10_finding_weld_grooves.html")
+
+
+def test_citations_agree_and_no_doi_is_made_up():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    references = (ROOT / "grindvision" / "book" / "site_sources" / "references.md").read_text(encoding="utf-8")
+    diao, peng = citation["references"]
+    assert diao["doi"] in references and "doi" not in peng and peng["url"] in references
+    assert all(re.fullmatch(r"10\.\d{4,}/\S+", doi) for doi in re.findall(r"doi:(\S+?)\]", references))
+
+
+@pytest.mark.parametrize("name", ["pages", "tests"])
+def test_workflows_are_valid_and_pin_their_actions(name):
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / f"{name}.yml").read_text(encoding="utf-8"))
+    steps = [step for job in workflow["jobs"].values() for step in job["steps"]]
+    assert workflow[True]  # "on" is YAML's word for true
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@v\d+", step["uses"]) for step in steps if "uses" in step)
+    commands = " ".join(step.get("run", "") for step in steps)
+    assert {"pages": "./run site", "tests": ".ci/run"}[name] in commands
+    scripts = re.findall(r"\./?(\S+)", commands)
+    assert all((ROOT / script).exists() for script in scripts if script in ("run", ".ci/run"))

@@ -1,38 +1,92 @@
 """Sphinx settings of the HTML book: already executed chapters, everything served from the page's own folder."""
 
+import re
+from pathlib import Path
+
 project = "grindvision"
 author = "grindvision contributors"
 project_copyright = "grindvision contributors, CC BY 4.0"
+language = "en"
 
-extensions = ["myst_nb", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+]
 exclude_patterns = ["**.ipynb_checkpoints"]
-suppress_warnings = ["myst.xref_missing", "config.cache"]
+suppress_warnings = ["myst.xref_missing", "config.cache", "ref.python"]  # two rooms may give one name to a result
+
+autodoc_default_options = {"no-value": True}
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Floats", "Flags", "Integers", "NDArray")}
+napoleon_custom_sections = [("Warns", "params_style")]
+add_module_names = False
+python_maximum_signature_line_length = 88
 
 nb_execution_mode = "off"
 nb_ipywidgets_js = {}
+nb_merge_streams = True
 nb_render_markdown_format = "myst"
-myst_enable_extensions = ["amsmath", "dollarmath", "html_image"]
+nb_code_prompt_show = "Show the code that draws"
+nb_code_prompt_hide = "Hide the code that draws"
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "html_image"]
 myst_heading_anchors = 3
 
 html_theme = "sphinx_book_theme"
 html_title = "grindvision"
+html_favicon = "_static/favicon.svg"
 html_theme_options = {
     "use_download_button": False,
+    "use_fullscreen_button": False,
     "show_toc_level": 2,
     "show_navbar_depth": 1,
     "navbar_persistent": [],
     "navbar_end": [],
 }
 html_sidebars = {"**": ["navbar-logo.html", "search-button-field.html", "sbt-sidebar-nav.html"]}
-html_context = {"default_mode": "light"}
-html_static_path = ["book.css"]
+html_context = {"default_mode": "auto"}
+html_static_path = ["_static"]
+templates_path = ["_templates"]
 html_css_files = ["book.css"]
+html_js_files = [("book.js", {"defer": "defer"})]
+html_use_index = False
+html_domain_indices = False
 html_show_sourcelink = False
 html_copy_source = False
 # A page opened from disk may not fetch other pages, so the search shows titles only.
 html_show_search_summary = False
 
+# From parts, because drawing formulas as SVG is needed, and menu and speech, a third of the whole, are not. (SVG
+# because a page that is opened from disk may not load web fonts.) Assistive MathML stays for screen readers.
+mathjax3_config = {
+    "loader": {"load": ["input/tex", "output/svg", "a11y/assistive-mml"]},
+    "tex": {"packages": {"[+]": []}},
+}
+
 
 def setup(app):
-    """Draw formulas as SVG: unlike web fonts, they may be loaded by a page that is opened from disk."""
-    app.config.mathjax_path = "mathjax/tex-svg.js"
+    """Choose the parts of MathJax, and leave out the theme's icon library: the style sheet draws the few in use."""
+    app.config.mathjax_path = "mathjax/startup.js"
+    app.connect("autodoc-process-signature", _with_plain_aliases)
+    app.connect("build-finished", _without_icon_library)
+
+
+def _with_plain_aliases(app, what, name, obj, options, signature, returned):
+    """Sphinx writes ``TypeAliasForwardRef('Floats')`` for an alias inside another type: only the alias is meant."""
+
+    def plain(text):
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+
+    return plain(signature), plain(returned)
+
+
+def _without_icon_library(app, error):
+    if error is None:
+        for name in ("fontawesome.js", "fontawesome.js.map"):
+            script = Path(app.outdir) / "_static" / "scripts" / name
+            if script.exists():
+                script.write_text("/* the icons are drawn by book.css */\n", encoding="utf-8")

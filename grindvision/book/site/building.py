@@ -1,0 +1,169 @@
+"""Builds the HTML book from the executed copies of the chapters; it needs no network to build or to read."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from grindvision.book.answers import write_scoreboard
+from grindvision.book.places import FIGURES, NOTEBOOKS, ROOT, SITE
+from grindvision.book.site.chapter_pages import readable
+from grindvision.book.site.findings import findings_page
+from grindvision.book.site.gallery import gallery_page
+from grindvision.book.site.pictures import figures_in, lightened, tables_in
+from grindvision.book.site.reference import write_reference
+from grindvision.book.site.scenes import SCENES, Scene, scene_link, scenes_page, write_scene
+from grindvision.errors import GrindvisionError
+
+SOURCES = Path(__file__).parents[1] / "site_sources"
+
+_TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+_LINKED = ("LICENSE", "LICENSE-TEXT", "CITATION.cff", "environment.txt", "data/paper/expected.csv")
+
+#: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
+_CONTENTS = {
+    "The book": ("00", "figures/scoreboard", "findings", "gallery", "scenes"),
+    "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
+    "peng2020: welding": ("10", "11"),
+    "Your own scans and arm": ("12", "when_it_does_not_work"),
+    "Teaching": ("teachers_guide", "exercises"),
+    "Reference": (
+        "conventions", "glossary", "api/index", "benchmarks/README", "data/README", "references", "CHANGELOG",
+        "CONTRIBUTING",
+    ),
+}  # fmt: skip
+
+
+def build_site(
+    build: Path,
+    figures: Path,
+    notebooks: Path = NOTEBOOKS,
+    site: Path = SITE,
+    scenes: Sequence[Scene] = SCENES,
+    reference: bool = True,
+) -> Path:
+    """Build the pages and return the path of the first one.
+
+    Args:
+        build: working folder with ``executed``; a chapter that has no executed copy there is shown without outputs.
+        figures: figures and answers that the pages show; where a chapter has none there, the committed ones are shown.
+        notebooks: folder of the chapters.
+        site: folder of the pages.
+        scenes: 3D scenes to draw.
+        reference: whether to draw the pages of the package's reference.
+
+    Raises:
+        GrindvisionError: Sphinx cannot build them; the message has its reason.
+    """
+    from sphinx.application import Sphinx
+    from sphinx.errors import SphinxError
+    from sphinx.util.console import nocolor
+
+    sources, extra = build / "site_sources", build / "site_extra"
+    shutil.rmtree(extra, ignore_errors=True)
+    _gather(sources, build / "executed", figures, notebooks, scenes)
+    for scene in scenes:
+        page = write_scene(scene, sources / "scenes")
+        (extra / "scenes").mkdir(parents=True, exist_ok=True)
+        shutil.move(page, extra / "scenes" / page.name)
+    if reference:
+        write_reference(sources / "api")
+    _write_index(sources)
+    nocolor()
+    warnings = io.StringIO()
+    shutil.rmtree(site, ignore_errors=True)
+    try:
+        app = Sphinx(
+            srcdir=sources,
+            confdir=SOURCES,
+            outdir=site,
+            doctreedir=build / "doctrees",
+            buildername="html",
+            confoverrides={"html_extra_path": [str(extra)] if scenes else []},
+            status=None,
+            warning=warnings,
+            freshenv=True,
+        )
+        app.build()
+    except SphinxError as error:
+        raise GrindvisionError(f"the HTML book cannot be built: {error}") from None
+    if warnings.getvalue():
+        print(warnings.getvalue(), file=sys.stderr, end="")
+    return site / "index.html"
+
+
+def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> None:
+    """Lay out the sources like the checkout, so that every relative link means the same in both."""
+    import nbformat
+
+    shutil.rmtree(sources, ignore_errors=True)
+    shutil.copytree(FIGURES, sources / "figures")
+    shutil.copytree(figures, sources / "figures", dirs_exist_ok=True)
+    board = write_scoreboard(sources / "figures")
+    drawn, tables = figures_in(sources / "figures"), tables_in(sources / "figures")
+    for name, table in tables.items():
+        page = sources / "figures" / f"{name}.md"
+        page.write_text(f"---\norphan: true\n---\n# Table {table.name}\n\n{page.read_text(encoding='utf-8')}", "utf-8")
+
+    (sources / "notebooks").mkdir()
+    links = {figure: scene_link(scene, "../") for scene in scenes for figure in scene.figures}
+    titles: dict[str, str] = {}
+    for chapter in sorted(notebooks.glob("[0-9][0-9]_*.ipynb")):
+        number, copy = chapter.name[:2], executed / chapter.name
+        notebook = nbformat.read(copy if copy.exists() else chapter, as_version=4)
+        title = re.search(r"^# (.+)$", notebook.cells[0].source, re.MULTILINE)
+        titles[number] = f"[{title[1] if title else chapter.stem}](notebooks/{chapter.name})"
+        readable(notebook, board[board["chapter"] == number], drawn, links)
+        nbformat.write(notebook, sources / "notebooks" / chapter.name)
+
+    exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
+    if exercises:
+        shutil.copytree(notebooks / "exercises", sources / "notebooks" / "exercises")
+    for page in (*_TEXTS, *_LINKED):
+        if (ROOT / page).exists():
+            (sources / page).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / page, sources / page)
+    pages = {path.name: path.read_text(encoding="utf-8") for path in SOURCES.glob("*.md")}
+    pages["findings.md"] = findings_page(pages["findings.md"], sources / "figures")
+    pages["gallery.md"] = gallery_page(sources / "figures", drawn, tables, titles)
+    if exercises:
+        pages["exercises.md"] = _exercises_page([path.stem for path in exercises])
+    if scenes:
+        pages["scenes.md"] = scenes_page(scenes, titles, drawn)
+    for name, text in pages.items():
+        (sources / name).write_text(lightened(text, drawn), encoding="utf-8")
+
+
+def _exercises_page(names: Sequence[str]) -> str:
+    return "\n".join(
+        [
+            "# Exercises",
+            "",
+            "One notebook for each chapter, for JupyterLab (`./run lab`, folder `exercises`). After a cell to fill in "
+            "comes a check that tries your function on inputs you do not see, and names the likely mistake.",
+            "",
+            "```{toctree}",
+            "",
+            *(f"notebooks/exercises/{name}" for name in names),
+            "```",
+            "",
+        ]
+    )
+
+
+def _write_index(sources: Path) -> None:
+    """The front page: the README, with the contents of the whole book."""
+    chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision/book/site_sources/", "](")
+    front = lightened(readme, figures_in(sources / "figures"))
+    groups = []
+    for caption, names in _CONTENTS.items():
+        pages = [chapters.get(name, name) for name in names]
+        there = [page for page in pages if any((sources / f"{page}{kind}").exists() for kind in (".md", ".ipynb"))]
+        if there:
+            groups.append("\n".join(["```{toctree}", ":hidden:", f":caption: {caption}", "", *there, "```", ""]))
+    (sources / "index.md").write_text("\n".join([front, *groups]), encoding="utf-8")

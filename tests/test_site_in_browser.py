@@ -1,0 +1,213 @@
+"""The HTML book in a real browser, with no network: what is drawn, found, enlarged and turned."""
+
+import functools
+import io
+import shutil
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from grindvision.book.site.scenes import SCENES
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need the package playwright")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+pytestmark = [
+    pytest.mark.xdist_group("site"),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; install the package chromium"),
+]
+
+HEAVIEST_PAGE_BYTES = 3_000_000
+HEAVIEST_SCENE_BYTES = 3_000_000
+
+
+@pytest.fixture(scope="module")
+def pages(whole_site) -> list[str]:
+    found = (path.relative_to(whole_site) for path in whole_site.rglob("*.html"))
+    return sorted(path.as_posix() for path in found if path.parts[0] not in ("_static", "scenes"))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def tab(browser):
+    """A tab that refuses everything but files, and a list of what went wrong in it."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = context.new_page()
+    page.troubles = []
+    page.loaded = set()
+    page.on("console", lambda message: message.type == "error" and page.troubles.append(message.text))
+    page.on("pageerror", lambda error: page.troubles.append(str(error)))
+    page.on("requestfailed", lambda request: page.troubles.append(f"failed: {request.url[:200]}"))
+    page.on("request", lambda request: page.loaded.add(request.url))
+    context.route("**/*", functools.partial(_only_files, page))
+    yield page
+    context.close()
+
+
+def _only_files(page, route) -> None:
+    if route.request.url.startswith(("file:", "data:", "blob:")):
+        route.continue_()
+    else:
+        page.troubles.append(f"asks the network: {route.request.url[:200]}")
+        route.abort()
+
+
+def _bytes_loaded(page) -> int:
+    files = {url.removeprefix("file://").split("?")[0].split("#")[0] for url in page.loaded if url.startswith("file:")}
+    return sum(Path(unquote(name)).stat().st_size for name in files)
+
+
+def test_every_page_loads_light_and_without_error_and_draws_its_formulas(whole_site, pages, tab):
+    wrong = {}
+    for name in pages:
+        tab.loaded.clear()
+        tab.goto((whole_site / name).as_uri())
+        formulas = tab.locator(".math").count()
+        if formulas:
+            tab.evaluate("() => MathJax.startup.promise")
+        drawn = tab.locator(".math > mjx-container > svg").count()
+        unknown = tab.locator("mjx-container merror, mjx-container [data-mjx-error], mjx-utext").count()
+        if drawn != formulas or unknown:
+            wrong[name] = f"{drawn} of {formulas} formulas, {unknown} of them wrong"
+        if _bytes_loaded(tab) > HEAVIEST_PAGE_BYTES:
+            wrong[name] = f"{_bytes_loaded(tab):,} bytes"
+    assert not wrong and not tab.troubles
+
+
+def test_nothing_runs_over_the_edge_of_a_telephone(whole_site, pages, tab):
+    tab.set_viewport_size({"width": 390, "height": 844})
+    wide = {}
+    for name in pages:
+        tab.goto((whole_site / name).as_uri())
+        if tab.locator(".math").count():
+            tab.evaluate("() => MathJax.startup.promise")
+        width = tab.evaluate("document.documentElement.scrollWidth")
+        if width > 390:
+            wide[name] = width
+    assert not wide
+
+
+@pytest.mark.parametrize("words", ["FPFH", "hand-eye"])
+def test_the_search_finds(whole_site, tab, words):
+    tab.goto((whole_site / "index.html").as_uri())
+    tab.keyboard.press("Control+k")
+    tab.locator("dialog input[type=search]").fill(words)
+    tab.keyboard.press("Enter")
+    tab.wait_for_url("**/search.html*")
+    results = tab.locator("#search-results a")
+    results.first.wait_for()
+    assert any("Registering" in text or "Calibrating" in text for text in results.all_text_contents())
+    assert not tab.troubles
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
+    assert (whole_site / "scenes" / f"{scene.name}.html").stat().st_size < HEAVIEST_SCENE_BYTES
+    tab.goto((whole_site / "scenes.html").as_uri())
+    assert tab.locator("iframe").count() == 0
+    link = tab.locator(f"a.scene[href$='{scene.name}.html']")
+    link.click()
+    frame = tab.locator("iframe.scene")
+    tab.frame_locator("iframe.scene").locator("canvas").first.wait_for()
+    tab.wait_for_timeout(1500)
+    frame.scroll_into_view_if_needed()
+    still = _picture(frame)
+    assert _drawn_share(still) > 0.02
+    box = frame.bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tab.mouse.move(*middle)
+    tab.mouse.down()
+    tab.mouse.move(middle[0] + 120, middle[1] + 40, steps=6)
+    tab.mouse.up()
+    tab.wait_for_timeout(500)
+    turned = _picture(frame)
+    assert (np.abs(turned - still).max(axis=2) > 40).mean() > 0.01
+    link.click()
+    assert tab.locator("iframe").count() == 0
+    assert not tab.troubles
+
+
+def test_every_scene_has_its_picture_for_readers_without_scripts(whole_site, browser):
+    context = browser.new_context(java_script_enabled=False)
+    tab = context.new_page()
+    tab.goto((whole_site / "scenes.html").as_uri())
+    for scene in SCENES:
+        picture = tab.locator(f"img[src*='{scene.name}']")
+        assert _drawn_share(_picture(picture)) > 0.02
+    context.close()
+
+
+def test_a_click_enlarges_a_picture_and_escape_puts_it_back(whole_site, tab):
+    tab.goto((whole_site / "conventions.html").as_uri())
+    small = tab.locator("button.picture img").first
+    width = small.bounding_box()["width"]
+    small.click()
+    assert tab.locator("dialog.enlarged[open] img").bounding_box()["width"] > 1.5 * width
+    tab.keyboard.press("Escape")
+    tab.locator("dialog.enlarged[open]").wait_for(state="detached")
+
+
+def test_code_that_draws_is_folded_and_all_code_can_be_hidden(whole_site, tab):
+    tab.goto((whole_site / "notebooks" / "03_calibrating_scanner_and_arm.html").as_uri())
+    folded, shown = tab.locator("details.hide.above-input"), tab.locator(".cell > .cell_input")
+    assert folded.count() and shown.count() and folded.locator("pre").first.is_hidden() and shown.first.is_visible()
+    tab.get_by_role("button", name="Hide all code").click()
+    assert shown.first.is_hidden() and folded.first.is_hidden()
+    tab.get_by_role("button", name="Show all code").click()
+    assert shown.first.is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_and_pictures_can_be_read_on_either_background(whole_site, browser, scheme):
+    context = browser.new_context(color_scheme=scheme)
+    tab = context.new_page()
+    for name in ("notebooks/03_calibrating_scanner_and_arm.html", "gallery.html"):
+        tab.goto((whole_site / name).as_uri())
+        assert tab.evaluate("document.documentElement.dataset.theme") == scheme
+        readable = (".bd-article p", "figcaption p", ".verdict", ".bd-sidebar-primary a", ".bd-article a.internal")
+        for selector in readable:
+            for place in range(min(tab.locator(selector).count(), 3)):
+                contrast = tab.locator(selector).nth(place).evaluate(CONTRAST)
+                assert contrast >= 4.5, f"{name}: {selector} has a contrast of {contrast:.1f}"
+        behind = tab.locator(".bd-article img").first.evaluate("e => getComputedStyle(e).backgroundColor")
+        assert scheme == "light" or behind == "rgb(255, 255, 255)"
+    context.close()
+
+
+#: WCAG contrast of an element's text against the first opaque background behind it.
+CONTRAST = """element => {
+  const numbers = colour => colour.match(/[\\d.]+/g).map(Number);
+  const light = ([r, g, b]) => [r, g, b].map(v => v / 255)
+    .map(v => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+  let behind = element, back = [255, 255, 255];
+  while (behind) {
+    const found = numbers(getComputedStyle(behind).backgroundColor);
+    if (found.length < 4 || found[3] === 1) { back = found; break; }
+    behind = behind.parentElement;
+  }
+  const [a, b] = [light(numbers(getComputedStyle(element).color)), light(back)];
+  return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+}"""
+
+
+def _picture(locator) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(locator.screenshot())).convert("RGB")).astype(int)
+
+
+def _drawn_share(picture: np.ndarray) -> float:
+    """Share of the pixels, a rim left out, that are not of the commonest colour."""
+    inner = picture[8:-8, 8:-8].reshape(-1, 3)
+    counts = np.unique(inner // 8, axis=0, return_counts=True)[1]
+    return 1 - counts.max() / len(inner)
