@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from grindvision.book.places import ROOT
-from grindvision.errors import GrindvisionError
 
 Arrays = Mapping[str, np.ndarray]
 Judge = Callable[[Arrays, Any], dict[str, float]]
@@ -78,34 +77,40 @@ class Measurement:
 
 
 class Worker:
-    """A racer's process; started with the first job."""
+    """A racer's process; one that dies is followed by another."""
 
     def __init__(self, racer: Racer) -> None:
         self.racer = racer
+        self._start()
+
+    def _start(self) -> None:
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115  closed with the worker
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.worker", f"benchmarks.peers.{racer.task}"],
+            [sys.executable, "-m", "benchmarks.worker", f"benchmarks.peers.{self.racer.task}"],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True,
         )  # fmt: skip
 
     def run(self, inputs: dict[str, Any], answer: Path) -> dict[str, Any]:
         """Hand over one job and wait for its numbers; the arrays of the answer are in the file ``answer``."""
         job = {"inputs": inputs, "settings": self.racer.settings, "answer": str(answer)}
-        try:
+        with suppress(BrokenPipeError):
             self.process.stdin.write(json.dumps(job) + "\n")
             self.process.stdin.flush()
-        except BrokenPipeError:
-            pass
         line = self.process.stdout.readline()
-        if not line:
-            self.errors.seek(0)
-            said = self.errors.read().decode(errors="replace").strip().splitlines()
-            raise GrindvisionError(f"{self.racer.name}: the worker died: {said[-1] if said else 'no word'}")
-        return json.loads(line)
+        if line:
+            return json.loads(line)
+        code = self.process.wait()
+        self.errors.seek(0)
+        said = self.errors.read().decode(errors="replace").strip().splitlines()
+        self.close()
+        self._start()
+        unknown = dict.fromkeys(("wall_s", "cpu_s", "peak_mib", "growth_mib"), float("nan"))
+        return {**unknown, "laps_s": {}, "error": f"the process died ({code}): {said[-1] if said else 'no word'}"}
 
     def close(self) -> None:
         """End the process."""
-        self.process.stdin.close()
+        with suppress(BrokenPipeError):
+            self.process.stdin.close()
         self.process.wait()
         self.process.stdout.close()
         self.errors.close()

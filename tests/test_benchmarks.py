@@ -140,6 +140,17 @@ def test_an_error_of_a_racer_is_a_failure_with_its_reason(cache):
     assert found.failed and "voxel size" in found.error
 
 
+def test_a_racer_that_dies_is_a_failure_and_races_on(cache):
+    case = inputs.voxel_cases("50k", 1, 10)[0]
+    racers = [Racer("dead", "no_such_peer:voxels"), Racer("alive", "ours_grinding:voxels")]
+    found = racing.race(racers, [case, case], judging.judge_voxels)
+    assert [one.failed for one in found] == [True, False, True, False]
+    assert "died" in found[0].error and "no_such_peer" in found[0].error
+    table = report.table_of(found, ("voxels",)).set_index("racer")
+    assert table["failures"].to_dict() == {"dead": 2, "alive": 0}
+    assert np.isnan(table.loc["dead", "median_s"]) and table.loc["alive", "voxels"] > 1000
+
+
 def test_paths_are_measured_to_the_line_and_not_to_its_points():
     line = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     distances, arcs = judging.beside(np.array([[5.0, 0, 1], [10, 5, 0], [12, 10, 0]]), line)
