@@ -116,6 +116,44 @@ def test_two_grooves_are_both_found_the_larger_first(rng):
     assert overlap(found.groove_id == 1, np.abs(places[:, 1] + 20) < 4) > 0.9
 
 
+@pytest.mark.parametrize("ends_mm", [(-40, 40), (0, 40)], ids=["crossing", "branch"])
+def test_crossing_and_branching_grooves_are_all_found(rng, ends_mm):
+    places = grid()
+    low, high = ends_mm
+    branch = vee(places[:, 0] - 5, 8, 4) * ((places[:, 1] >= low) & (places[:, 1] <= high))
+    found = find_grooves(cloud(places, np.minimum(vee(places[:, 1]), branch), rng))
+    assert np.median(found.grooves[0].width_mm) == pytest.approx(10, abs=0.4)
+    assert np.abs(found.grooves[0].root[:, 1]).max() < 0.5 and found.grooves[0].length_mm == pytest.approx(120, abs=3)
+    assert len(found.grooves) == (3 if low < 0 else 2)
+    for groove in found.grooves[1:]:
+        assert np.abs(groove.root[:, 0] - 5).max() < 0.6 and groove.length_mm > 25
+
+
+def test_shallow_wide_grooves_count_and_so_do_steep_narrow_ones(rng):
+    for width, depth in ((25, 3), (6, 3), (8, 9)):
+        points, truth = straight_groove(rng, width, depth)
+        found = find_grooves(points)
+        assert len(found.grooves) == 1 and overlap(found.labels, truth) > 0.9
+        assert np.median(found.grooves[0].depth_mm) == pytest.approx(depth, rel=0.1)
+
+
+@pytest.mark.parametrize("noise_mm", [0.05, 0.6])
+def test_noise_does_not_make_a_rounded_groove_sharp(rng, noise_mm):
+    """The middle of a rounded groove lies on its floor, not where its walls would meet below it."""
+    places = grid(spacing_mm=0.9)
+    heights = -8 * np.cos(np.clip(places[:, 1] / 20, -0.5, 0.5) * np.pi) ** 2
+    groove = find_grooves(cloud(places, heights, rng, noise_mm)).grooves[0]
+    assert np.abs(groove.root[:, 2] - 408).mean() < 0.4
+    assert np.abs(groove.root[:, 1]).mean() < 0.3
+
+
+def test_a_robot_base_at_the_origin_is_no_camera(rng):
+    """A plate that stands with its back to the robot: the origin lies behind it, z points up."""
+    points, truth = straight_groove(rng)
+    standing = np.column_stack([points[:, 0], 1100 - points[:, 2], points[:, 1]])
+    assert overlap(find_grooves(standing).labels, truth) > 0.93
+
+
 def test_ring_is_closed_and_measured_once(rng):
     places = grid(110, 110)
     found = find_grooves(cloud(places, vee(np.hypot(*places.T) - 32), rng))

@@ -27,7 +27,7 @@ Flags = NDArray[np.bool_]
 #: A groove holds at least this share of the volume of the largest one.
 LEAST_VOLUME_SHARE = 0.05
 #: A path that runs along a known groove for this share is that groove again.
-KNOWN_SHARE = 0.3
+KNOWN_SHARE = 0.5
 
 
 @dataclass(frozen=True)

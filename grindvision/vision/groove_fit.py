@@ -21,6 +21,7 @@ from grindvision.vision.groove_profile import (
     Sections,
     fit_profiles,
     gather_sections,
+    profile_height,
 )
 from grindvision.vision.seam_curve import SeamCurve, build_curve, extended, lay_straight
 from grindvision.vision.seam_smoothing import smooth_along
@@ -31,8 +32,11 @@ Integers = NDArray[np.int64]
 
 #: A groove's width is at least so many point spacings.
 LEAST_POINTS_ACROSS = 4.0
-#: Walls fall at least so steeply: depth over half the width (17 degrees).
-LEAST_WALL_SLOPE = 0.3
+#: Walls fall at least so steeply: depth over half the width (11 degrees).
+LEAST_WALL_SLOPE = 0.2
+#: Where less than this share of the length shows the surface on both sides, walls must be this steep: the outline of a
+#: gently bent surface looks like one wall.
+LEAST_BOTH_SIDES, ONE_SIDED_WALL_SLOPE = 0.3, 0.5
 #: A groove is at least so many widths long.
 LEAST_LENGTH = 2.0
 #: A station belongs to the groove while its depth is above this share of the median depth.
@@ -44,6 +48,9 @@ WORST_FIT_RATIO, LEAST_FIT_SHARE, WORST_FIT_SHARE = 3.0, 0.03, 0.12
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
+#: Floors (half of them) and roundings tried, in shares of the width, on so many sections at most; a shape is taken if
+#: what it misses is less than this share of what a simpler one does.
+CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 48, 0.85
 #: Passes of fitting and prolonging at most.
 _PASSES = 10
 
@@ -69,7 +76,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         sections = gather_sections(strip, len(curve), curve.step_mm, reach, width / 24, width / 5)
         start = np.tile([0, 0, 0, depth, -width / 2, 0, width / 2], (len(curve), 1))
         spread = np.array([depth / 2, 0.5, 0.3 * depth / reach**2, depth, width / 2, width / 3, width / 2])
-        if number == 1:
+        if number in (1, 2):
             corners = _corners(sections, start, spread, width, noise)
         fit = fit_profiles(sections, start, spread, corners, noise)
         inside = _stations_inside(fit, sections, width, depth, 1.0 if number > 1 else 2.5)
@@ -89,7 +96,10 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         curve = _recentred(curve, fit, first, last, width)
         turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
-    return groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise)
+    groove = groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise)
+    if groove is None or (groove.edges_seen < LEAST_BOTH_SIDES and depth < ONE_SIDED_WALL_SLOPE * width / 2):
+        return None
+    return groove
 
 
 def _part(curve: SeamCurve, first: int, last: int) -> SeamCurve:
@@ -105,20 +115,29 @@ def _is_groove(width: float, depth: float, length: float, spacing: float) -> boo
 
 
 def _corners(sections: Sections, start: Floats, spread: Floats, width: float, noise: float) -> Corners:
-    """Floor and rounding that fit a sample of the sections best; a sharp V unless something else clearly helps."""
-    pick = np.linspace(0, len(start) - 1, min(16, len(start))).astype(int)
+    """Floor and rounding that fit the sections best; a sharp V unless something else clearly helps.
+
+    What a wrong shape misses lies at the same place in all sections; their residuals are averaged there, so that noise
+    hides no rounding.
+    """
+    pick = np.linspace(0, len(start) - 1, min(MOST_SECTIONS_TRIED, len(start))).astype(int)
     sample = Sections(sections.across[pick], sections.up[pick], sections.weight[pick], sections.bin_mm)
 
     def misfit(corners: Corners) -> float:
-        return float(np.median(fit_profiles(sample, start[pick], spread, corners, noise).noise_mm))
+        fit = fit_profiles(sample, start[pick], spread, corners, noise)
+        off = sample.up - profile_height(sample.across, fit.parameters, corners)
+        usual = fit.noise_mm < 2 * np.median(fit.noise_mm)
+        weight = np.where(usual[:, None], sample.weight, 0)
+        total = np.maximum(weight.sum(axis=0), 1e-9)
+        return float(np.sqrt((total * ((weight * off).sum(axis=0) / total) ** 2).sum() / total.sum()))
 
     chosen = Corners(SHARP * width, SHARP * width)
     best = misfit(chosen)
     for corner in ("floor_mm", "root_mm", "edge_mm"):
-        for share in (0.08, 0.16, 0.24, 0.32):
+        for share in CORNER_SHARES:
             trial = replace(chosen, **{corner: share * width})
             value = misfit(trial)
-            if value < 0.93 * best:
+            if value < CLEARLY_BETTER * best:
                 best, chosen = value, trial
     return chosen
 

@@ -24,6 +24,9 @@ LEAST_POINTS_PER_CELL = 5
 #: A scanner at the origin is believed when the mean normal points towards it within this angle.
 CAMERA_CONE_RAD = np.radians(45)
 
+#: A camera looks along its z axis, forward or (in graphics) backward, the middle of the scan within this angle of it.
+CAMERA_FIELD_RAD = np.radians(40)
+
 #: Length of the mean of all normals, each turned to the origin, below which the origin is no camera.
 LEAST_AGREEMENT = 0.6
 
@@ -62,7 +65,8 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
 
     A frame is a transform (4, 4) ``T_field_cloud`` whose z axis is one of the main directions of the surface normals
     (the largest first) and whose x axis is the cloud's long side. There is one list of frames when the scanned side is
-    known, from ``viewpoint_mm`` (3,) or because the origin stands where a camera would; otherwise two, for both sides.
+    known, from ``viewpoint_mm`` (3,) or because the origin stands where a camera would and z points as a camera's does
+    (a robot's base does so by chance only); otherwise two, for both sides.
 
     Raises:
         DegenerateError: the points span no surface.
@@ -79,6 +83,8 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     mean = normals.mean(axis=0)
     gap = towards - centre
     believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > LEAST_AGREEMENT
+    off_axis = vector_angle(T_own_cloud[:3, 2], gap)
+    believed = believed and min(off_axis, np.pi - off_axis) < CAMERA_FIELD_RAD
     if viewpoint_mm is not None or (believed and vector_angle(mean, gap) < CAMERA_CONE_RAD):
         return [[_frame(surfels.points, centre, up) @ T_own_cloud for up in _main_directions(normals)]]
     directions = _main_directions(_facing(surfels.normals, _dominant(surfels.normals)[None, :]))

@@ -32,6 +32,8 @@ LEAST_CONTRAST = 2.5
 LEAST_RADIUS_SHARE = 0.012
 #: Valleys looked at, deepest first, in one height field.
 MOST_VALLEYS = 6
+#: Cells of a valley farther from its path than this share of its width belong to a branch.
+ARM_SHARE = 0.75
 #: Share of the greatest volume at which a smaller disc is preferred to a larger one.
 ENOUGH_VOLUME = 0.8
 
@@ -89,10 +91,14 @@ def find_valleys(
     if best is None:
         return [], None
     _, pieces, field, surface, depth = best
-    valleys = [
-        Valley(piece.cells, _path(piece, surface, depth, field), piece.depth_mm, piece.width_mm, piece.volume_mm3)
-        for piece in sorted(pieces, key=lambda piece: -piece.volume_mm3)
-    ]
+    valleys = []
+    for piece in pieces:
+        path = _path(piece, surface, depth, field)
+        valleys.append(Valley(piece.cells, path, piece.depth_mm, piece.width_mm, piece.volume_mm3))
+        for arm in _arms(piece, path, depth, field):
+            path = _path(arm, surface, depth, field)
+            valleys.append(Valley(arm.cells, path, arm.depth_mm, arm.width_mm, arm.volume_mm3))
+    valleys.sort(key=lambda valley: -valley.volume_mm3)
     return valleys, field
 
 
@@ -134,6 +140,17 @@ def _piece(cells: Flags, box: tuple[slice, slice], depth: Floats, field: HeightF
     if inner.max() < LEAST_INNER_CELLS or area < LEAST_ASPECT * width**2 or deep < LEAST_RELIEF * width:
         return None
     return _Piece(cells, deep, width, float(depth[cells].sum()) * field.cell_mm**2)
+
+
+def _arms(piece: _Piece, path: Floats, depth: Floats, field: HeightField) -> list[_Piece]:
+    """What a path (M, 3) through a piece leaves aside: the arms of crossing and branching grooves."""
+    off_path = np.ones(piece.cells.shape, dtype=bool)
+    off_path[tuple((path[:, :2] / field.cell_mm).astype(int).T)] = False
+    away = ndimage.distance_transform_edt(off_path) * field.cell_mm
+    names, _ = ndimage.label(piece.cells & (away > ARM_SHARE * piece.width_mm), _EIGHT)
+    boxes = ndimage.find_objects(names)
+    arms = [_piece(names == name, box, depth, field) for name, box in enumerate(boxes, start=1)]
+    return [arm for arm in arms if arm is not None]
 
 
 def _path(piece: _Piece, surface: Floats, depth: Floats, field: HeightField) -> Floats:
