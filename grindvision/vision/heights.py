@@ -20,12 +20,17 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
     The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
     where no surfel lies within ``most_mm`` or the point is beside the surface.
     """
-    grid, counts = good.grid, good.counts.astype(float)
+    grid = good.grid
+    excess = np.maximum(good.roughness_mm**2 - good.noise_mm**2, 0)
+    doubt = good.noise_mm**2 / np.maximum(good.counts, 1) + 0.25 * excess
+    # a surfel is one row, and a cell's rows lie together: one line of the processor's cache each
+    planes = np.column_stack([grid.points, good.normals, good.counts, doubt])[grid.order]
+    order = np.arange(len(planes))
 
     def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
         return _blended(
-            part, float(most_mm), good.normals, counts, good.noise_mm, good.roughness_mm, grid.points, grid.order,
-            grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
+            part, float(most_mm), planes, order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
+            1.0 / grid.size_mm,
         )  # fmt: skip
 
     halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
@@ -37,9 +42,8 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
 
 
 @njit(cache=True, nogil=True)
-def _blended(
-    queries, most, normals, counts, noise, roughness, points, order, starts, table_keys, table_cells, origin, per_mm
-):  # fmt: skip
+def _blended(queries, most, planes, order, starts, table_keys, table_cells, origin, per_mm):
+    """Heights, normals, variances; rows of ``planes``: mean, normal, number of points and variance of a surfel."""
     number = len(queries)
     heights, variances = np.full(number, np.nan), np.zeros(number)
     blended = np.zeros((number, 3))
@@ -47,45 +51,40 @@ def _blended(
     spread = 2 * (0.9 * size) ** 2
     for p in range(number):
         x, y, z = queries[p, 0], queries[p, 1], queries[p, 2]
-        q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+        q, squared = nearest_one(x, y, z, most, planes, order, starts, table_keys, table_cells, origin, per_mm)
         if q < 0:
             continue
-        n = normals[q]
-        along = n[0] * (x - points[q, 0]) + n[1] * (y - points[q, 1]) + n[2] * (z - points[q, 2])
+        nx, ny, nz = planes[q, 3], planes[q, 4], planes[q, 5]
+        along = nx * (x - planes[q, 0]) + ny * (y - planes[q, 1]) + nz * (z - planes[q, 2])
         if squared - along * along > (1.2 * size) ** 2:
             continue
         # foot of the point on the nearest surfel's plane, around which the planes are blended
-        fx, fy, fz = x - along * n[0], y - along * n[1], z - along * n[2]
+        fx, fy, fz = x - along * nx, y - along * ny, z - along * nz
         i0, j0, k0 = int((fx - origin[0]) * per_mm), int((fy - origin[1]) * per_mm), int((fz - origin[2]) * per_mm)
         total = height = variance = 0.0
         ax = ay = az = 0.0
-        for i in range(i0 - 1, i0 + 2):
-            for j in range(j0 - 1, j0 + 2):
-                for k in range(k0 - 1, k0 + 2):
-                    if i < 0 or j < 0 or k < 0:
-                        continue
+        for i in range(max(i0 - 1, 0), i0 + 2):
+            for j in range(max(j0 - 1, 0), j0 + 2):
+                for k in range(max(k0 - 1, 0), k0 + 2):
                     slot = find_slot(table_keys, cell_key(i, j, k))
                     if table_keys[slot] < 0:
                         continue
                     cell = table_cells[slot]
-                    for at in range(starts[cell], starts[cell + 1]):
-                        c = order[at]
-                        m = normals[c]
-                        if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < 0.8:
+                    for c in range(starts[cell], starts[cell + 1]):
+                        mx, my, mz = planes[c, 3], planes[c, 4], planes[c, 5]
+                        facing = mx * nx + my * ny + mz * nz
+                        if facing < 0.8:
                             continue
-                        dx, dy, dz = fx - points[c, 0], fy - points[c, 1], fz - points[c, 2]
-                        up = m[0] * dx + m[1] * dy + m[2] * dz
+                        dx, dy, dz = fx - planes[c, 0], fy - planes[c, 1], fz - planes[c, 2]
+                        up = mx * dx + my * dy + mz * dz
                         lateral = dx * dx + dy * dy + dz * dz - up * up
-                        weight = counts[c] * np.exp(-lateral / spread)
+                        weight = planes[c, 6] * np.exp(-lateral / spread)
                         total += weight
-                        height += weight * (
-                            m[0] * (x - points[c, 0]) + m[1] * (y - points[c, 1]) + m[2] * (z - points[c, 2])
-                        )
-                        ax += weight * m[0]
-                        ay += weight * m[1]
-                        az += weight * m[2]
-                        excess = max(roughness[c] ** 2 - noise[c] ** 2, 0.0)
-                        variance += weight * (noise[c] ** 2 * weight / max(counts[c], 1.0) + 0.25 * excess * weight)
+                        height += weight * (up + facing * along)
+                        ax += weight * mx
+                        ay += weight * my
+                        az += weight * mz
+                        variance += weight * weight * planes[c, 7]
         if total == 0.0:
             continue
         heights[p] = height / total
