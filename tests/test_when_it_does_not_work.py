@@ -17,6 +17,7 @@ from grindvision.arm import read_arm, write_arm
 from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.geometry import rigid, rotation_about
+from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, LEAST_WALL_SLOPE
 from tests.calibration_rig import ROBOT, er3a, rig, ur5
 from tests.test_calibration_input import as_table
 
@@ -312,6 +313,12 @@ def a_file_of_that_name(folder):
 def test_every_section_of_the_page_has_its_mistake():
     assert set(quotations()) == {title for title, _ in MISTAKES}
     assert len(quotations()) > 30
+
+
+def test_numbers_on_the_page_are_those_of_the_code():
+    page = PAGE.read_text(encoding="utf-8")
+    assert f"walls flatter than {np.degrees(np.arctan(LEAST_WALL_SLOPE)):.0f} degrees" in page
+    assert LEAST_POINTS_ACROSS == 4 and "fewer than four points fit across" in page
 
 
 @pytest.mark.parametrize(("title", "make"), MISTAKES, ids=[make.__name__ for _, make in MISTAKES])
