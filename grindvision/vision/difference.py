@@ -150,7 +150,8 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
     spread = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
     field = max(spread**2 - np.median(variance[shown]), 0.0)
     variance = variance + _pose_variance(registration, surfels.points, normals)
-    level = 1.96 * np.sqrt(variance + field)
+    # no spot is trusted better than the scans agree over all
+    level = 1.96 * np.sqrt(np.maximum(variance + field, spread**2))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * spread)
     if changed.sum() > MOST_CHANGED * shown.sum():
         raise DegenerateError(
