@@ -64,12 +64,16 @@ RANDOM_ERRORS = ("white_mm", "triangulation_px", "correlated_px", "mixed_pixels"
 
 @dataclass(frozen=True)
 class Workplace:
-    """The twin's part where the robot finds it: ``bead`` in the base frame, both solids to scan, ``T_base_part``."""
+    """The twin's part where the robot finds it: ``bead`` in the base frame, both solids to scan, ``T_base_part``.
+
+    ``T_base_scanner`` is the pose that Tables 3 and 4 imply.
+    """
 
     bead: Bead
     good: Target
     faulty: Target
     T_base_part: Floats
+    T_base_scanner: Floats
 
     def compared(self, found: Floats) -> tuple[Floats, Floats, Floats]:
         """Found path points (n, 3), base frame and in order, against the true ridge.
@@ -143,7 +147,7 @@ def workplace(bead_height_mm: float = 1.5) -> Workplace:
         ridge_mm=move_points(T_base_part, part.bead.ridge_mm),
         normals=turn_vectors(T_base_part, part.bead.normals),
     )
-    return Workplace(bead, Target(part.sample), Target(part.test), T_base_part)
+    return Workplace(bead, Target(part.sample), Target(part.test), T_base_part, path.T_base_scanner)
 
 
 def compound_paths(
@@ -178,7 +182,7 @@ def compound_paths(
 
     place = workplace()
     instrument = StructuredLightScanner(serial=int(rng.integers(2**31)))
-    robot = GrindingRobot(scanner=instrument)
+    robot = replace(_robot(), scanner=instrument)
     tracker = misaligned_tracker(rng)
     calibrated = calibrated_cell(robot, tracker, rng)
     off = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
@@ -258,9 +262,15 @@ def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.
 
 
 @cache
+def _robot() -> GrindingRobot:
+    """The robot of every cell, but for its own scanner; its tables are read once."""
+    return GrindingRobot()
+
+
+@cache
 def _plan() -> CalibrationPlan:
     """Where the spheres stand and from where they are seen: the same for every robot cell."""
-    return calibration_plan(GrindingRobot(), np.random.default_rng(2), test_spheres=0)
+    return calibration_plan(_robot(), np.random.default_rng(2), test_spheres=0)
 
 
 def _believed_pose(calibrated: ScannerOnArm, tracker: LaserTracker, q_rad: Floats) -> Floats:
@@ -300,7 +310,7 @@ def _scan_of_spot(
 
 def _view_of_good_part(place: Workplace, scanner: Scanner, rng: np.random.Generator) -> Floats:
     """Pose T_part_scanner (4, 4) 400 mm away, turned about 25 deg from the printed view towards facing the plate."""
-    T_part_test = inverse(place.T_base_part) @ printed_path().T_base_scanner
+    T_part_test = inverse(place.T_base_part) @ place.T_base_scanner
     axis = np.cross(T_part_test[:3, 2], [0.0, 0.0, -1.0]) + 0.3 * rng.standard_normal(3)
     T_part_scanner = np.eye(4)
     T_part_scanner[:3, :3] = rotation_about(axis, np.radians(25.0)) @ T_part_test[:3, :3]

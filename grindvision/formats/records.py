@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 
 MOST_HEADER_LINES, LONGEST_HEADER_LINE = 1000, 10_000
 
+RECORDS_AT_ONCE = 1 << 16
+"""So many records are held twice, as they stand in the file and as numbers; never the whole file."""
+
 
 def header_lines(path: Path, file: BinaryIO, last: bytes) -> Iterator[list[str]]:
     """Words of each header line up to and including the one that begins with ``last``.
@@ -93,10 +96,13 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
     point, normal = chosen_columns(names)
     if point is None:
         raise FileError(f"{path}: points need x y z; found {' '.join(names)}")
-    rows = np.fromfile(file, dtype=record, count=count)
-    if point == [0, 1, 2] and len(names) == 3 and len(set(kinds)) == 1:
-        return Content(rows.view(kinds[0]).reshape(count, 3).astype(float))
-    return Content(*(None if at is None else _table(rows, at) for at in (point, normal)))
+    tables = {tuple(at): np.empty((count, len(at))) for at in (point, normal) if at is not None}
+    for start in range(0, count, RECORDS_AT_ONCE):
+        rows = np.fromfile(file, dtype=record, count=min(RECORDS_AT_ONCE, count - start))
+        for columns, table in tables.items():
+            for k, at in enumerate(columns):
+                table[start : start + len(rows), k] = rows[f"{at}"]
+    return Content(*tables.values())
 
 
 def bytes_left(path: Path, file: BinaryIO) -> int:
@@ -119,10 +125,3 @@ def _reason(error: ValueError) -> str:
     if width:
         return f"row {width[3]} has {width[2]} columns, the rows before {width[1]}"
     return f"not a table of numbers ({text})"
-
-
-def _table(rows: np.ndarray, columns: Sequence[int]) -> Floats:
-    table = np.empty((len(rows), len(columns)))
-    for k, at in enumerate(columns):
-        table[:, k] = rows[f"{at}"]
-    return table
