@@ -44,6 +44,9 @@ SURE_MM = 20.0
 FARTHEST_MM = 1e6
 """No scanner and no arm's base is farther than this from what was scanned."""
 
+FEW_COPIES = 1e-3
+"""Share of points that stand in a file twice without anybody having to know."""
+
 FLOAT32_MM = 8192.0
 """Up to here float32 resolves a micrometre."""
 
@@ -108,22 +111,46 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
 
 
 def finite_points(cloud: Cloud, name: str) -> Floats:
-    """The cloud's points (N, 3) without those that hold NaN or infinity; how many were dropped is a warning.
+    """The points (N, 3) without those that hold NaN or infinity, and none of them twice; see ``usable_rows``."""
+    rows, _ = usable_rows(cloud, name)
+    return cloud.points if rows.all() else cloud.points[rows]
+
+
+def usable_rows(cloud: Cloud, name: str) -> tuple[NDArray[np.bool_], tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Which rows (N,) of a cloud are finite and no copy of an earlier one; and the copies, see ``find_copies``.
 
     Raises:
         FileError: no finite point is left.
+
+    Warns:
+        GrindvisionWarning: rows hold NaN or infinity; more than a few are copies.
     """
-    if np.isfinite(cloud.points).all():
-        return cloud.points
-    finite = np.isfinite(cloud.points).all(axis=1)
-    if not finite.any():
+    rows = np.isfinite(cloud.points).all(axis=1)
+    if not rows.any():
         raise FileError(f"{name}: all {len(cloud)} points hold NaN or infinity; scan again or export again")
-    warnings.warn(
-        f"{name}: {int((~finite).sum())} of {len(cloud)} points hold NaN or infinity and were dropped",
-        GrindvisionWarning,
-        stacklevel=2,
-    )
-    return cloud.points[finite]
+    if not rows.all():
+        text = f"{name}: {int((~rows).sum())} of {len(cloud)} points hold NaN or infinity and were dropped"
+        warnings.warn(text, GrindvisionWarning, stacklevel=2)
+    at = np.flatnonzero(rows)
+    copies, originals = find_copies(cloud.points if rows.all() else cloud.points[at])
+    if len(copies) > FEW_COPIES * len(cloud):
+        text = f"{name}: {len(copies)} of {len(cloud)} points are copies of others and were not counted twice"
+        warnings.warn(text, GrindvisionWarning, stacklevel=2)
+    rows[at[copies]] = False
+    return rows, (at[copies], at[originals])
+
+
+def find_copies(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of (N, 3) that repeat an earlier point exactly, and the rows that they repeat; mostly both are empty."""
+    keys = points @ np.array([1.0, np.sqrt(2) - 0.9, np.sqrt(3) - 1.1])
+    if not (np.diff(np.sort(keys)) == 0).any():
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    order = np.argsort(keys, kind="stable")
+    same = (points[order[1:]] == points[order[:-1]]).all(axis=1)
+    starts = np.flatnonzero(np.r_[True, ~same])
+    first = np.repeat(np.minimum.reduceat(order, starts), np.diff(np.r_[starts, len(order)]))
+    copied = order != first
+    return order[copied], first[copied]
 
 
 def check_unit(points: ArrayLike, name: str, unit: str | None = None) -> None:

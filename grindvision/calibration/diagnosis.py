@@ -24,6 +24,9 @@ SUSPICIOUS_MM = 1.5
 #: No sound machine deviates more than this from its drawing.
 FAR_MM, FAR_RAD = 15.0, 0.05
 
+#: No tracker and no scanner measures so far from the origin of its frame.
+FARTHEST_MM = 1e6
+
 
 def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -> tuple[str, ...]:
     """Refuse what cannot be calibrated with, and return warnings in words about what can but should be known.
@@ -156,6 +159,12 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
         size = np.abs(points).max(axis=0)
         if size.max() < 20:
             raise UnitError(f"columns {name}x_mm to {name}z_mm reach only {size.max():.4g}: metres? give millimetres")
+        if size.max() > FARTHEST_MM:
+            row = int(np.abs(points).max(axis=1).argmax())
+            raise UnitError(
+                f"{measurements.label(row)}: {name}x_mm to {name}z_mm reach {size.max():.4g} mm, where nothing is"
+                " measured; mend or drop it, or give millimetres"
+            )
 
 
 def _shifts() -> list[tuple[str, Change]]:

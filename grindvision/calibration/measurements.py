@@ -150,12 +150,18 @@ def read_measurements(
         if not KNOWN.fullmatch(name):
             raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
     numbered = len({match[1] for name in names if (match := JOINT.fullmatch(name))})
+    if numbered == 0:
+        known = ", ".join(column_names(path)[:16])
+        raise FileError(
+            f"{path}: no columns of joint angles (q1_rad or q1_deg ...); found {known}; say which they are, as in"
+            " --columns q1_deg=joint_1"
+        )
     if joints is not None and numbered != joints:
         raise FileError(
             f"{path}: {numbered} columns of joint angles (q1_rad or q1_deg ...), but the robot table has {joints}"
             " joints; give the table up to the joint that carries the scanner"
         )
-    angles = [f"q{i + 1}_rad" for i in range(max(numbered, 1))]
+    angles = [f"q{i + 1}_rad" for i in range(numbered)]
     seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
     on_tool = not any(re.fullmatch("s[xyz]_m?m", name) for name in names)
     covariances = list(COVARIANCE_COLUMNS) if set(COVARIANCE_COLUMNS) <= names else []

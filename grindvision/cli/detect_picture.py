@@ -49,8 +49,8 @@ def _verdict(found: Detection) -> tuple[str, str]:
         f" rms {registration.rms_mm:.3f} mm. Frame: scanner frame of the test scan."
     )
     if not found.beads:
-        level = found.difference.level_of_detection_mm
-        return f"Nothing to grind: no difference above {level:.2f} mm", facts
+        level, cell = found.difference.level_of_detection_mm, found.test.surfels.grid.size_mm
+        return f"Nothing to grind: no difference above {level:.2f} mm, compared in cells of {cell:.2g} mm", facts
     bead = found.beads[0]
     size = f"{bead.length_mm:.1f} x {bead.width_mm:.1f} mm, {bead.height_mm:.2f} mm high"
     beads = "1 bead" if len(found.beads) == 1 else f"{len(found.beads)} beads"

@@ -19,6 +19,8 @@ from grindvision.cli.scans import (
 from grindvision.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from grindvision.vision.weld import Weld
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
@@ -79,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from grindvision.cli.groove_picture import draw
-    from grindvision.clouds import finite_points
+    from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
     from grindvision.motion.trajectory import tool_trajectory
     from grindvision.vision.weld import trace_weld
@@ -90,8 +92,12 @@ def run(options: argparse.Namespace) -> int:
     with Run(options, ("cloud",), libraries, 6 if job else 5, outdated) as work:
         with work.stage("read"):
             (cloud,) = read_scans((options.cloud,), options.unit)
-            points = finite_points(cloud, options.cloud)
-        weld = trace_weld(cloud.points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
+            rows, (copies, originals) = usable_rows(cloud, options.cloud)
+            points = cloud.points if rows.all() else cloud.points[rows]
+        weld = trace_weld(points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
+        labels = np.zeros(len(cloud), dtype=bool)
+        labels[rows] = weld.labels
+        labels[copies] = labels[originals]
         work.finished("detect")
         steady_mm = STEADY_MM if options.variant == "ours" else 0.0
         with work.stage("torch"):
@@ -99,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
                 tool_trajectory(path.points, path.normals, closed=path.closed, steady_mm=steady_mm)
                 for path in weld.paths
             ]
-        results = _results(weld)
+        results = _results(weld, labels)
         if job is not None:
             with work.stage("motion"):
                 motion = job.plan(trajectories[0], points)
@@ -110,15 +116,15 @@ def run(options: argparse.Namespace) -> int:
                 name = "trajectory.csv" if rank == 1 else f"trajectory_{rank}.csv"
                 write_text(work.place / name, rows_text(COLUMNS, path.points, path.normals, trajectory.rpy_rad))
             with write_whole(work.place / "labels.npy") as temporary:
-                np.save(temporary, weld.labels)
+                np.save(temporary, labels)
         with work.stage("picture"):
-            draw(weld, cloud.points, work.warnings, work.place / "report.png")
+            draw(weld, points, work.warnings, work.place / "report.png")
         stood = "" if job is None else where_it_stood(job.T_base_scanner)
         work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, stood)
     return 0
 
 
-def _results(weld: Weld) -> dict[str, Any]:
+def _results(weld: Weld, labels: np.ndarray) -> dict[str, Any]:
     import numpy as np
 
     grooves = [
@@ -135,7 +141,7 @@ def _results(weld: Weld) -> dict[str, Any]:
     ]
     return {
         "variant": weld.variant,
-        "groove_points": int(weld.labels.sum()),
+        "groove_points": int(labels.sum()),
         "path_length_mm": weld.path.length_mm,
         "euler_order": "R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam",
         "grooves": grooves,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -74,7 +75,7 @@ def _announced_bytes(path: Path, file: BinaryIO) -> int:
         shape, _, kind = read_header(file)
     except KeyError:
         raise FileError(f"{path}: a NumPy file of an unknown version; save a plain array of numbers") from None
-    except (ValueError, EOFError, SyntaxError, TypeError, RecursionError) as error:
+    except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, tokenize.TokenError) as error:
         raise _no_array(path, error) from None
     if kind.kind not in "iuf" or len(shape) not in (2, 3) or min(shape) < 0 or shape[-1] < 3:
         raise FileError(f"{path}: array of shape {shape} and type {kind}; expected numbers of shape (N, 3)")
