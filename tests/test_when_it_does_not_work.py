@@ -32,7 +32,7 @@ ABOVE = rigid(np.diag([1.0, -1.0, -1.0]), [310.0, 0.0, 450.0])
 def quotations() -> dict[str, str]:
     """Section of the page -> the line it quotes."""
     sections = re.split(r"^### ", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
-    quoted = [(section.splitlines()[0], re.findall(r"^> (.+)$", section, re.MULTILINE)) for section in sections]
+    quoted = [(section.splitlines()[0], re.findall(r"^> `(.+)`$", section, re.MULTILINE)) for section in sections]
     assert all(len(lines) == 1 for _, lines in quoted)
     return {title: lines[0] for title, lines in quoted}
 
