@@ -178,14 +178,16 @@ def _checked(task: Exercise, function: Function) -> Checked:
     if all(agree):
         return Checked(task.number, RIGHT, f"{task.title}, all {len(cases)} cases")
     for mistake in task.mistakes:
-        variants = [task.arranged(mistake.variant(*copy.deepcopy(case))) for case in cases]
+        with np.errstate(all="ignore"):
+            variants = [task.arranged(mistake.variant(*copy.deepcopy(case))) for case in cases]
         if all(_agree(task, a, b) for a, b in zip(given, variants, strict=True)):
             return Checked(task.number, WRONG, f"likely mistake: {mistake.name}. {mistake.hint}", mistake.name)
     for slip in SLIPS:
         if all(_agree(task, a, slip.variant(np.asarray(b, dtype=float))) for a, b in zip(given, wanted, strict=True)):
             return Checked(task.number, WRONG, f"likely mistake: {slip.name}. {slip.hint}", slip.name)
-    worst = agree.index(False)
-    return Checked(task.number, WRONG, _apart(task, given[worst], wanted[worst], worst + 1, len(cases)))
+    first = agree.index(False)
+    some = f"{sum(agree)} of {len(cases)} cases are right; " if any(agree) else ""
+    return Checked(task.number, WRONG, f"{some}case {first + 1} {_apart(task, given[first], wanted[first])}")
 
 
 def _numbers(result: Any) -> NDArray[Any]:
@@ -208,12 +210,11 @@ def _shape(wanted: Any) -> str:
     return f"an array of shape {shape}" if shape else "one number"
 
 
-def _apart(task: Exercise, given: NDArray[Any], wanted: Any, number: int, total: int) -> str:
+def _apart(task: Exercise, given: NDArray[Any], wanted: Any) -> str:
     """What can be said of a wrong result whose mistake is not known: shape, NaN, or how far off."""
-    where = f"case {number} of {total}"
     if given.shape != np.shape(wanted):
-        return f"{where} gives {_shape(given)}; {_shape(wanted)} is asked for"
+        return f"gives {_shape(given)}; {_shape(wanted)} is asked for"
     if not np.isfinite(given.astype(float)).all() and np.isfinite(np.asarray(wanted, dtype=float)).all():
-        return f"{where} gives NaN or infinity: is something divided by zero there?"
+        return "gives NaN or infinity: is something divided by zero there?"
     off = f"{np.nanmax(np.abs(given.astype(float) - np.asarray(wanted, dtype=float))):.3g} {task.unit}".strip()
-    return f"{where} is off by up to {off}; it is none of the mistakes that the checker knows"
+    return f"is off by up to {off}; it is none of the mistakes that the checker knows"
