@@ -161,7 +161,7 @@ def read_table(
 ) -> pd.DataFrame:
     """Read a CSV whose named columns must be there, and whose ``numbers`` columns must be finite floats.
 
-    Commas, semicolons or tabs part the columns. A column ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or
+    Commas, semicolons or tabs part the columns; where it is not the comma, numbers may have a decimal comma. A column ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or
     ``x_m``; it is converted. Further columns are kept as they are.
 
     Args:
@@ -238,7 +238,13 @@ def _text_table(path: Path) -> pd.DataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
-                path, sep=separator, encoding="utf-8-sig", skipinitialspace=True, index_col=False, comment="#"
+                path,
+                sep=separator,
+                decimal="." if separator == "," else ",",
+                encoding="utf-8-sig",
+                skipinitialspace=True,
+                index_col=False,
+                comment="#",
             )
     except FileNotFoundError:
         raise FileError(f"{path}: no such file; check the path") from None

@@ -102,3 +102,11 @@ def test_json_that_is_none_is_refused(tmp_path, content):
     (tmp_path / "a.json").write_text(content)
     with pytest.raises(FileError, match="JSON"):
         read_json(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("gap", [";", "\t"])
+def test_decimal_commas_where_something_else_parts_the_columns(tmp_path, gap):
+    (tmp_path / "table.csv").write_text(f"x_mm{gap}y_mm{gap}n\n1,5{gap}2.25{gap}a\n-3,25{gap}1e-2{gap}b,c\n")
+    table = read_table(tmp_path / "table.csv", ["x_mm", "y_mm"], ["n"])
+    assert table["x_mm"].tolist() == [1.5, -3.25] and table["y_mm"].tolist() == [2.25, 0.01]
+    assert table["n"].tolist() == ["a", "b,c"]
