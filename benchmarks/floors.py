@@ -39,6 +39,7 @@ def least_work(found: Detection) -> dict[str, Work]:
     points = len(found.sample.points) + len(found.test.points)
     keys = [len(scan.keypoints) for scan in (found.sample, found.test)]
     described = sum(keys) * (DISC[0] + 2 * DISC[1])
+    pieces = [cluster.points for cluster in found.difference.clusters]
     matched, verified = found.registration, found.coarse.registration
     return {
         "read": Work(points * (12 + POINT_BYTES), 0, 0, "float32 in the file to float64 in memory"),
@@ -47,9 +48,9 @@ def least_work(found: Detection) -> dict[str, Work]:
         ),
         "coarse": Work(0, 0, float(np.prod(keys)) * FEATURE_NUMBERS, "every histogram against every other"),
         "verification": Work(0, 3 * 1000 * verified.iterations, 0, "3 poses, 1,000 surfels, one visit per iteration"),
-        "icp": Work(0, 6000 * matched.iterations, 0, "6,000 surfels, one visit per iteration"),
+        "icp": Work(0, 9 * 6000 * matched.iterations, 0, "6,000 surfels, the planes around each foot per iteration"),
         "difference": Work(0, 9 * len(found.test.surfels), 0, "every surfel, the planes around its foot"),
-        "path": Work(0, sum(len(bead.ridge) for bead in found.beads), 0, "every station of the ridge"),
+        "path": Work(0, sum(map(len, pieces)), 0, "every point that stands out"),
     }
 
 

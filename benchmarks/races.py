@@ -82,7 +82,7 @@ def small_gicp(name: str, task: str, about: str, **settings: object) -> Racer:
 
 def pcl(name: str, task: str, about: str, **settings: object) -> Racer:
     """A racer of PCL, a program."""
-    return Racer(name, f"pcl_peer:{task}", "peer", settings, about, "PCL", program=True)
+    return Racer(name, f"pcl_peer:{task}", "peer", settings, about, "PCL", warm_up=False)
 
 
 DETECT = Race(
@@ -146,9 +146,9 @@ GROOVE = Race(
             "PCL, best overlap", "groove", "moving least squares 8 mm, normals and histograms 6 mm, threshold 8 deg",
             smoothing_mm=8.0, radius_mm=6.0, threshold_deg=8.0,
         ),
-        open3d(
-            "Open3D + NumPy", "groove", "normals and histograms 5 mm, threshold 8 deg, no smoothing",
-            radius_mm=5.0, threshold_deg=8.0,
+        Racer(
+            "Open3D + NumPy", "open3d_peer:groove", settings={"radius_mm": 5.0, "threshold_deg": 8.0}, needs="open3d",
+            about="normals and histograms 5 mm, threshold 8 deg, no smoothing", warm_up=False,
         ),
     ),
     lambda plan: [inputs.groove_cases(kind, plan.rounds, plan.seed) for kind in plan.pieces],
@@ -168,7 +168,7 @@ DIFFERENCE = Race(
         small_gicp("small_gicp", "difference", f"KdTree on all cores: {NEAREST}"),
         pcl("PCL", "difference", f"kd-tree on all cores: {NEAREST}"),
         Racer(
-            "CloudCompare", "cloudcompare_peer:difference", needs="CloudCompare", program=True,
+            "CloudCompare", "cloudcompare_peer:difference", needs="CloudCompare", warm_up=False,
             about=f"C2C_DIST, times from its log, memory not measured: {NEAREST}",
         ),
     ),
@@ -250,7 +250,7 @@ def process(name: str, kind: str, *words: str, needs: str = "", compiled: bool =
     """A whole process."""
     settings = {"words": list(words), "compiled": compiled}
     about = about or "`" + " ".join(words).replace("{", "").replace("}", "") + "`"
-    return Racer(name, "startup:process", kind, settings, about, needs, program=True)
+    return Racer(name, "startup:process", kind, settings, about, needs, warm_up=False)
 
 
 STARTUP = Race(

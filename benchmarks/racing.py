@@ -28,8 +28,8 @@ class Racer:
     """Who races: ``task`` is ``module:function`` below ``benchmarks.peers``, ``kind`` ours, paper_variant or peer.
 
     ``settings`` are handed to the function; ``about`` states them for the reader; ``needs`` names a Python module, PCL
-    or CloudCompare, without which the racer is absent. A ``program`` is a process of its own in every run, which
-    nothing warms up.
+    or CloudCompare, without which the racer is absent. ``warm_up``: run once before, uncounted; not for a program that
+    is a process of its own in every run, or where compiled code is all there is and a run is long.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Racer:
     settings: dict[str, Any] = field(default_factory=dict)
     about: str = ""
     needs: str = ""
-    program: bool = False
+    warm_up: bool = True
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def race(racers: Sequence[Racer], rounds: Sequence[Case], judge: Judge, spare: b
         workers = {racer.name: stack.enter_context(closing(Worker(racer))) for racer in racers}
         memory = {}
         for racer in racers:
-            if not racer.program:
+            if racer.warm_up:
                 reply = workers[racer.name].run(rounds[0].inputs, answer)
                 memory[racer.name] = {name: reply[name] for name in ("peak_mib", "growth_mib")}
         for number, case in enumerate(rounds, start=1):

@@ -119,7 +119,7 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
         _dots(panel, table, places, column)
     first = axes[0, 0]
     first.set_yticks(places, table["racer"])
-    first.invert_yaxis()
+    first.set_ylim(places[-1] + 0.6, -1.3)
     for case in cases:
         own = table["case"] == case
         text = f"{case}" if not own.any() else f"{case}: {table.loc[own, 'points'].iloc[0]:,} points"
@@ -130,17 +130,20 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
         plt.Line2D([], [], marker="o", ls="", color=COLOURS[kind]) for kind in KINDS if kind in set(table["kind"])
     ]
     words = [KINDS[kind] for kind in KINDS if kind in set(table["kind"])]
-    fig.legend(handles, words, loc="outside lower center", ncols=3)
+    if lap := _lap_of(table):
+        handles.append(plt.Line2D([], [], marker="o", ls="", color=COLOURS["grey"], fillstyle="none"))
+        words.append(f"the stage alone ({lap})")
+    fig.legend(handles, words, loc="outside lower center", ncols=4)
     fig.suptitle(title, x=0.01, ha="left", fontsize=11)
     return fig
 
 
 def growth_picture(title: str, table: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
     """Time against points, both logarithmic, with each racer's slope; and the slopes."""
-    with plt.style.context(STYLE):
-        fig, axes = plt.subplots(figsize=(7.0, 4.4))
     slopes = []
-    for name, own in table.groupby("racer", sort=False):
+    with plt.style.context(STYLE):
+        fig, axes = plt.subplots(figsize=(7.0, 5.0))
+    for marker, (name, own) in zip("osD^vP", table.groupby("racer", sort=False), strict=False):
         own = own[own["failures"] < own["rounds"]].sort_values("points")
         if len(own) < 2:
             continue
@@ -148,13 +151,18 @@ def growth_picture(title: str, table: pd.DataFrame) -> tuple[Figure, pd.DataFram
         slope = np.polyfit(np.log(points), np.log(seconds), 1)[0]
         last = np.log(seconds[-1] / seconds[-2]) / np.log(points[-1] / points[-2])
         slopes.append({"racer": name, "slope": slope, "slope_of_last_step": last})
-        mine = own["kind"].iloc[0] == "ours"
-        axes.plot(
-            points, seconds, "o-", lw=2.4 if mine else 1.2, zorder=3 if mine else 2,
-            color=COLOURS["ours"] if mine else None, label=f"{name}: slope {slope:.2f}, last step {last:.2f}",
-        )  # fmt: skip
-    axes.set(xscale="log", yscale="log", xlabel="points per scan", ylabel="time (s)", title=title)
-    axes.legend(loc="upper left")
+        kind = own["kind"].iloc[0]
+        label = f"{name}: slope {slope:.2f}, last step {last:.2f}"
+        axes.plot(points, seconds, f"{marker}-", color=COLOURS[kind], lw=2.4 if kind == "ours" else 1.2, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="points per scan", ylabel="median time (s)")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 3)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_title(title)
+    fig.legend(loc="outside lower center", fontsize=8)
     return fig, pd.DataFrame(slopes)
 
 
@@ -180,24 +188,39 @@ def _median_lap(own: Sequence[Measurement], name: str) -> float:
     return float(np.median([one.laps_s.get(name, np.nan) for one in own]))
 
 
+def _lap_of(table: pd.DataFrame) -> str:
+    """The stage that has columns of its own, or nothing."""
+    return next((name.removesuffix("_of_fastest_peer") for name in table if name.endswith("_of_fastest_peer")), "")
+
+
 def _dots(axes: Axes, table: pd.DataFrame, places: np.ndarray, column: str) -> None:
-    values = table[column].to_numpy(float)
+    values, timed = table[column].to_numpy(float), column == "median_s"
     colours = [COLOURS[kind] for kind in table["kind"]]
-    if column == "median_s":
+    shown = values
+    if timed:
         axes.hlines(places, table["min_s"], table["max_s"], colors=colours, lw=2, alpha=0.5)
+        if lap := _lap_of(table):
+            alone = table[f"{lap}_s"].to_numpy(float)
+            axes.scatter(alone, places, edgecolors=colours, facecolors="white", s=30, linewidths=1.2, zorder=3)
+            shown = np.concatenate([values, alone])
     axes.scatter(values, places, c=colours, s=30, zorder=3)
-    finite = values[np.isfinite(values)]
-    if len(finite) and finite.min() > 0 and finite.max() / finite.min() > 12:
-        many = finite.max() / finite.min() > 200
-        axes.set_xscale("log")
-        axes.set_xlim(finite.min() / 1.5, finite.max() * (3 if column == "median_s" else 1.5))
-        axes.xaxis.set_major_locator(LogLocator(subs=(1,) if many else (1, 3)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
-    elif len(finite):
-        axes.set_xlim(0, (1.3 if column == "median_s" else 1.12) * finite.max() or 1)
-    for value, place, failures, rounds in zip(values, places, table["failures"], table["rounds"], strict=True):
-        if column == "median_s":
+    _set_limits(axes, shown[np.isfinite(shown)], room=3.0 if timed else 1.5)
+    if timed:
+        for value, place, failures, rounds in zip(values, places, table["failures"], table["rounds"], strict=True):
             text = f"{value:.3g} s" + (f", {failures} of {rounds} fail" if failures else "")
             axes.annotate(text, (value, place), (6, 4), textcoords="offset points", fontsize=7)
     axes.set_xlabel(LABELS.get(column, column))
+
+
+def _set_limits(axes: Axes, values: np.ndarray, room: float) -> None:
+    """From zero, or logarithmic where values differ much; with ``room`` on the right of a logarithmic axis."""
+    if not len(values):
+        return
+    if values.min() > 0 and values.max() / values.min() > 12:
+        axes.set_xscale("log")
+        axes.set_xlim(values.min() / 1.5, values.max() * room)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1,) if values.max() / values.min() > 200 else (1, 3)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_xlim(0, room**0.25 * values.max() or 1)

@@ -42,7 +42,7 @@ def in_process(racer: Racer, case: Case) -> dict:
 def quick_peers(race: races.Race) -> list[Racer]:
     """The racers that pip installs, less those that take long."""
     there, _ = bench.present(race.racers, "PCL is left out of this test")
-    return [racer for racer in there if not racer.program and "tries" not in racer.settings]
+    return [racer for racer in there if racer.warm_up and "tries" not in racer.settings]
 
 
 @pytest.mark.parametrize("name", STAGES)
