@@ -97,7 +97,7 @@ def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) ->
         weights = trust * np.clip(1 - trust * (left / (TUKEY * spread)) ** 2, 0, None) ** 2
         information = design.T @ (design * weights[:, None])
         information[range(6, len(solution)), range(6, len(solution))] += (spread / max(prior, 1e-9)) ** 2
-        solution = -_solved(information, design.T @ (weights * residual))
+        solution = -_solved(information, design.T @ (weights * residual)[:, None])[:, 0]
     return solution, information, weights, spread
 
 
@@ -114,15 +114,17 @@ def block_covariance(
     """
     block = float(np.linalg.norm(np.ptp(places, axis=0))) / across
     grid = build_cells(places, block)
-    moves = []
+    left, pulls = [], []
     for members in np.split(grid.order, grid.starts[1:-1]):
         rows, weighted = design[members], design[members] * weights[members, None]
-        moves.append(_solved(information - rows.T @ weighted, weighted.T @ residual[members]))
-    return np.transpose(moves) @ np.array(moves)
+        left.append(information - rows.T @ weighted)
+        pulls.append(weighted.T @ residual[members, None])
+    moves = _solved(np.array(left), np.array(pulls))[..., 0]
+    return moves.T @ moves
 
 
 def _solved(information: Floats, right: Floats) -> Floats:
-    """Least solution of the normal equations, with mm and radians made comparable first."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    return inverse @ right
+    """Least solutions (..., k, m) of normal equations (..., k, k), mm and radians made comparable first."""
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    sizes = scale[..., :, None] * scale[..., None, :]
+    return np.linalg.pinv(information / sizes, rcond=1e-12, hermitian=True) / sizes @ right

@@ -156,7 +156,7 @@ def refine(
     sample: Scan, test: Scan, coarse: VerifiedPose, rng: np.random.Generator, points: int = 6_000
 ) -> FineRegistration:
     """Point-to-plane ICP on fine surfels from the verified pose, then once more with a smooth bending allowed."""
-    chosen = rng.permutation(len(test.surfels))[:points]
+    chosen = np.sort(rng.permutation(len(test.surfels))[:points])  # neighbours in a row share the cache
     places, normals = test.surfels.points[chosen], test.surfels.normals[chosen]
     size = sample.surfels.grid.size_mm
     found = icp_planes(places, normals, sample.surfels, coarse.registration.T_target_source, 2 * size)
