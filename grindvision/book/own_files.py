@@ -161,7 +161,7 @@ def _judged(rows: Sequence[tuple[str, float, str, float, str]]) -> pd.DataFrame:
         {
             "quantity": [row[0] for row in rows],
             "value": [float(row[1]) for row in rows],
-            "well_if": [f"{row[2]} {row[3]:.3g}" for row in rows],
+            "well_if": [f"{'≥' if row[2] == '>=' else '≤'}\u00a0{row[3]:.3g}" for row in rows],
             "verdict": ["well" if one else "look" for one in well],
             "otherwise": [row[4] for row in rows],
         }
