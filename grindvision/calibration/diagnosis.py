@@ -148,7 +148,8 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
     joint = int(np.argmax(largest))
     if largest[joint] > 2 * np.pi + 0.01:
         raise UnitError(
-            f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: these look like degrees; give radians, or name it q{joint + 1}_deg"
+            f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: these look like degrees; give radians, or name it"
+            f" q{joint + 1}_deg"
         )
     reach = np.hypot(arm.table[:, 1], arm.table[:, 2]).sum()
     if 0 < reach < 10:

@@ -63,13 +63,13 @@ def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) ->
     along = weld.path.points[min(at + 1, len(weld.path.points) - 1)] - weld.path.points[at - 1]
     along = along - up * (along @ up)
     along = along / np.linalg.norm(along)
-    reach = 1.5 * np.ptp((points[labels] - origin) @ np.cross(up, along)) if not weld.grooves else None
-    reach = 1.5 * float(np.median(weld.grooves[0].width_mm)) if weld.grooves else reach
-    near = points[(np.abs(points - origin) < 1.5 * reach).all(axis=1)]
-    near_labels = labels[(np.abs(points - origin) < 1.5 * reach).all(axis=1)]
-    slice_of = np.abs((near - origin) @ along) < reach / 20
-    places = (near[slice_of] - origin) @ np.stack([np.cross(up, along), up], axis=1)
-    inside = near_labels[slice_of]
+    across = np.cross(up, along)
+    width = float(np.median(weld.grooves[0].width_mm)) if weld.grooves else float(np.ptp(points[labels] @ across))
+    reach = 1.5 * width
+    kept = np.flatnonzero(np.abs(points @ along - origin @ along) < reach / 20)
+    places = (points[kept] - origin) @ np.stack([across, up], axis=1)
+    near = (np.abs(places) < [reach, 1.5 * reach]).all(axis=1)
+    places, inside = places[near], labels[kept][near]
     for chosen, colour in ((~inside, GREY), (inside, GROOVE)):
         axes.plot(*places[chosen].T, ".", ms=3, color=colour)
     axes.plot(0, 0, "o", ms=7, color=PATH, mec="black")
