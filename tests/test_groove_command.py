@@ -48,6 +48,14 @@ def test_two_grooves_two_trajectories(tmp_path, rng):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert [round(groove["width_mm"]) for groove in report["grooves"]] == [12, 8]
     assert (tmp_path / "out" / "trajectory_2.csv").exists()
+    assert "also: 1 more groove (120 mm long)" in str(trace_weld(points))
+
+
+def test_grooves_too_small_to_count_are_said(rng):
+    places = grid()
+    short = vee(places[:, 1] + 22, 6, 3) * (np.abs(places[:, 0]) < 14)
+    weld = trace_weld(cloud(places, vee(places[:, 1] - 18, 14, 9) + short, rng))
+    assert len(weld.paths) == 1 and "left out as too small: 1 more groove (" in str(weld)
 
 
 def test_bad_input_is_one_line_and_exit_code_two(tmp_path, rng, capsys):

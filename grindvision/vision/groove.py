@@ -26,6 +26,8 @@ Flags = NDArray[np.bool_]
 
 #: A groove holds at least this share of the volume of the largest one.
 LEAST_VOLUME_SHARE = 0.05
+#: Valleys below this share of the largest one's volume are not even fitted.
+LEAST_LOOKED_AT = 0.01
 #: A path that runs along a known groove for this share is that groove again.
 KNOWN_SHARE = 0.5
 
@@ -35,13 +37,15 @@ class GrooveDetection:
     """All grooves of a cloud, largest volume first; ``labels`` in the cloud's shape marks the points of any groove.
 
     ``groove_id`` has the same shape: rank of the point's groove, -1 outside. ``spacing_mm`` is the cloud's point
-    distance, ``T_field_cloud`` (4, 4) the frame whose z axis is the viewing direction that was used.
+    distance, ``T_field_cloud`` (4, 4) the frame whose z axis is the viewing direction that was used. ``left_out`` are
+    grooves too small against the largest one to count.
     """
 
     grooves: tuple[DetectedGroove, ...]
     groove_id: Integers
     spacing_mm: float
     T_field_cloud: Floats
+    left_out: tuple[DetectedGroove, ...] = ()
 
     @property
     def labels(self) -> Flags:
@@ -92,10 +96,12 @@ def find_grooves(
         )
     rank = np.full(len(valid), -1)
     at = np.flatnonzero(valid)
-    grooves = [_with_members(groove, at[groove.members]) for groove in best[0]]
+    found = [_with_members(groove, at[groove.members]) for groove in best[0]]
+    grooves = [groove for groove in found if groove.volume_mm3 >= LEAST_VOLUME_SHARE * found[0].volume_mm3]
     for number, groove in reversed(list(enumerate(grooves))):
         rank[groove.members] = number
-    return GrooveDetection(tuple(grooves), rank.reshape(np.shape(points)[:-1]), spacing, best[1])
+    ranks = rank.reshape(np.shape(points)[:-1])
+    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], tuple(found[len(grooves) :]))
 
 
 def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
@@ -138,11 +144,10 @@ def _grooves_seen(cloud: Floats, frames: list[Floats], spacing: float, width_mm:
         valleys, field = find_valleys(cloud, frame, spacing, radius)
         for valley in valleys:
             path = move_points(inverse(field.T_field_cloud), valley.path)
-            if valley.volume_mm3 >= LEAST_VOLUME_SHARE * valleys[0].volume_mm3 and not _known(path, found):
+            if valley.volume_mm3 >= LEAST_LOOKED_AT * valleys[0].volume_mm3 and not _known(path, found):
                 groove = fit_groove(cloud, field.T_field_cloud, valley, spacing)
                 found += [groove] if groove is not None and not _known(groove.root, found) else []
-    found.sort(key=lambda groove: -groove.volume_mm3)
-    return [groove for groove in found if groove.volume_mm3 >= LEAST_VOLUME_SHARE * found[0].volume_mm3]
+    return sorted(found, key=lambda groove: -groove.volume_mm3)
 
 
 def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:

@@ -50,7 +50,7 @@ WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
 #: Floors (half of them) and roundings tried, in shares of the width, on so many sections at most; a shape is taken if
 #: what it misses is less than this share of what a simpler one does.
-CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 48, 0.85
+CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 32, 0.85
 #: Passes of fitting and prolonging at most.
 _PASSES = 10
 
@@ -137,6 +137,8 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
         for share in CORNER_SHARES:
             trial = replace(chosen, **{corner: share * width})
             value = misfit(trial)
+            if value > best:
+                break
             if value < CLEARLY_BETTER * best:
                 best, chosen = value, trial
     return chosen

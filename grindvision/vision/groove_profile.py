@@ -82,7 +82,8 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
         noise_mm: expected deviation of one bin, which scales data against prior.
     """
     prior = 1 / np.broadcast_to(spread, start.shape) ** 2
-    data_weight = np.minimum(sections.weight, 4.0 * max(float(np.median(sections.weight[sections.weight > 0])), 1e-9))
+    filled = sections.weight[sections.weight > 0]
+    data_weight = np.minimum(sections.weight, 4.0 * float(np.median(filled)) if len(filled) else 0.0)
     data_weight = data_weight / max(float(data_weight.max()), 1e-9) / noise_mm**2
     theta, damping = start.copy(), np.full(len(start), 1e-2)
     cost = _cost(theta, start, prior, sections, data_weight, corners, noise_mm)

@@ -146,10 +146,15 @@ def _arms(piece: _Piece, path: Floats, depth: Floats, field: HeightField) -> lis
     """What a path (M, 3) through a piece leaves aside: the arms of crossing and branching grooves."""
     off_path = np.ones(piece.cells.shape, dtype=bool)
     off_path[tuple((path[:, :2] / field.cell_mm).astype(int).T)] = False
-    away = ndimage.distance_transform_edt(off_path) * field.cell_mm
-    names, _ = ndimage.label(piece.cells & (away > ARM_SHARE * piece.width_mm), _EIGHT)
-    boxes = ndimage.find_objects(names)
-    arms = [_piece(names == name, box, depth, field) for name, box in enumerate(boxes, start=1)]
+    box = ndimage.find_objects(piece.cells.astype(np.int8))[0]
+    away = ndimage.distance_transform_edt(off_path[box]) * field.cell_mm
+    names, _ = ndimage.label(piece.cells[box] & (away > ARM_SHARE * piece.width_mm), _EIGHT)
+    arms = []
+    for name in np.flatnonzero(np.bincount(names.ravel()) >= LEAST_ASPECT * (2 * LEAST_INNER_CELLS) ** 2):
+        if name > 0:
+            cells = np.zeros_like(piece.cells)
+            cells[box] = names == name
+            arms.append(_piece(cells, box, depth, field))
     return [arm for arm in arms if arm is not None]
 
 

@@ -27,7 +27,8 @@ class Weld:
     """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, the largest groove's first.
 
     ``grooves`` belong to the paths one by one; the paper's variant measures none and has one path. ``timings_s`` holds
-    seconds per stage, ``spacing_mm`` the distance of neighbouring points as ours found it.
+    seconds per stage, ``spacing_mm`` the distance of neighbouring points as ours found it. ``left_out`` are
+    grooves that were found too, but are too small against the largest to count.
     """
 
     variant: str
@@ -36,6 +37,7 @@ class Weld:
     grooves: tuple[DetectedGroove, ...]
     timings_s: dict[str, float]
     spacing_mm: float | None = None
+    left_out: tuple[DetectedGroove, ...] = ()
 
     @property
     def path(self) -> SeamPath:
@@ -43,9 +45,8 @@ class Weld:
         return self.paths[0]
 
     def __str__(self) -> str:
-        others = "" if len(self.paths) == 1 else f", {len(self.paths) - 1} more groove(s)"
         what = self.grooves[0] if self.grooves else f"groove of {int(self.labels.sum()):,} points"
-        return f"{what}; {self.path}{others}"
+        return f"{what}; {self.path}{_also('also', self.grooves[1:])}{_also('left out as too small', self.left_out)}"
 
 
 def trace_weld(
@@ -83,11 +84,12 @@ def trace_weld(
         found = time.perf_counter()
         inside = detection.labels.ravel()[detection.finite]
         paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
-        labels, grooves, spacing = detection.labels, (), None
+        labels, grooves, spacing, left_out = detection.labels, (), None, ()
     else:
         detected = find_grooves(points, viewpoint_mm, width_mm)
         found = time.perf_counter()
         labels, grooves, spacing = detected.labels, detected.grooves, detected.spacing_mm
+        left_out = detected.left_out
         paths = tuple(root_path(groove, waypoints) for groove in grooves)
         for number, groove in enumerate(grooves, start=1):
             if groove.edges_seen < BOTH_SIDES_SHARE:
@@ -98,4 +100,12 @@ def trace_weld(
                     stacklevel=2,
                 )
     end = time.perf_counter()
-    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing)
+    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing, left_out)
+
+
+def _also(words: str, grooves: tuple[DetectedGroove, ...]) -> str:
+    """What else was found: how many grooves, and how long."""
+    if not grooves:
+        return ""
+    lengths = ", ".join(f"{groove.length_mm:.0f}" for groove in grooves)
+    return f"; {words}: {len(grooves)} more groove{'s' if len(grooves) > 1 else ''} ({lengths} mm long)"
