@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-#: Width and height of one picture of the strip, in inches.
-PICTURE = (2.6, 2.4)
+#: Width and height in inches of one picture of a strip, and of the picture under a slider.
+STRIP_PICTURE, SLIDER_PICTURE = (1.95, 2.1), (5.6, 4.0)
 
 
 def slider(
@@ -65,7 +65,7 @@ def _show_slider(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[f
     import matplotlib.pyplot as plt
 
     def show(value: float) -> None:
-        _, axes = plt.subplots(figsize=(2 * PICTURE[0], 1.6 * PICTURE[1]))
+        _, axes = plt.subplots(figsize=SLIDER_PICTURE)
         draw(axes, value)
         plt.show()
 
@@ -84,7 +84,7 @@ def _save_strip(
     import pandas as pd
 
     quantity, _, unit = label.partition(", ")
-    width, height = PICTURE
+    width, height = STRIP_PICTURE
     fig, panels = plt.subplots(1, len(values), figsize=(width * len(values), height), sharex=True, sharey=True)
     drawn = []
     for axes, value in zip(panels, values, strict=True):
