@@ -100,7 +100,7 @@ def _results(found: Detection) -> dict[str, Any]:
         "fitness": registration.overlap,
         "rmse": registration.rms_mm,
         "confidence": found.confidence,
-        "covariance": registration.covariance,
+        "covariance": registration.total_covariance,
         "level_of_detection_mm": found.difference.level_of_detection_mm,
         "beads": [
             {
