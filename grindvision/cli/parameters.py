@@ -132,7 +132,7 @@ def _words(path: Path, name: str, value: Any, action: argparse.Action) -> list[s
 def _without_exponent(word: str) -> str:
     """A negative number without an exponent, which the parser would take for an option."""
     if re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][+-]?\d{1,3}", word):
-        return f"{float(word):.340f}".rstrip("0")
+        return f"{float(word):.340f}".rstrip("0") + "0"
     return word
 
 

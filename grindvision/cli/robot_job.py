@@ -64,8 +64,8 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--robot",
         metavar="ur3|FILE.urdf|FILE.csv",
-        help="arm that carries the torch; adds DIR/program.*. A CSV holds the modified DH table and joint limits:"
-        " joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad,lower_rad,upper_rad,speed_rad_s",
+        help="arm that carries the torch; adds DIR/program.*. A CSV is a modified DH table (see `grindvision calibrate"
+        " --help`) with joint limits in further columns lower_rad, upper_rad, speed_rad_s",
     )
     group.add_argument(
         "--scanner-pose", metavar="FILE.json", help="needed: 4x4 matrix T_base_scanner, mm, bare or under that key"
