@@ -68,10 +68,11 @@ def _bytes_loaded(page) -> int:
     return sum(Path(unquote(name)).stat().st_size for name in files)
 
 
-def test_every_page_loads_light_and_without_error_and_draws_its_formulas(whole_site, pages, tab):
+def test_every_page_loads_light_and_without_error_draws_its_formulas_and_fits_a_telephone(whole_site, pages, tab):
     wrong = {}
     for name in pages:
         tab.loaded.clear()
+        tab.set_viewport_size({"width": 1280, "height": 900})
         tab.goto((whole_site / name).as_uri())
         formulas = tab.locator(".math").count()
         if formulas:
@@ -82,20 +83,10 @@ def test_every_page_loads_light_and_without_error_and_draws_its_formulas(whole_s
             wrong[name] = f"{drawn} of {formulas} formulas, {unknown} of them wrong"
         if _bytes_loaded(tab) > HEAVIEST_PAGE_BYTES:
             wrong[name] = f"{_bytes_loaded(tab):,} bytes"
+        tab.set_viewport_size({"width": 390, "height": 844})
+        if tab.evaluate("document.documentElement.scrollWidth") > 390:
+            wrong[name] = "wider than a telephone"
     assert not wrong and not tab.troubles
-
-
-def test_nothing_runs_over_the_edge_of_a_telephone(whole_site, pages, tab):
-    tab.set_viewport_size({"width": 390, "height": 844})
-    wide = {}
-    for name in pages:
-        tab.goto((whole_site / name).as_uri())
-        if tab.locator(".math").count():
-            tab.evaluate("() => MathJax.startup.promise")
-        width = tab.evaluate("document.documentElement.scrollWidth")
-        if width > 390:
-            wide[name] = width
-    assert not wide
 
 
 @pytest.mark.parametrize("words", ["FPFH", "hand-eye"])
@@ -120,19 +111,15 @@ def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
     link.click()
     frame = tab.locator("iframe.scene")
     tab.frame_locator("iframe.scene").locator("canvas").first.wait_for()
-    tab.wait_for_timeout(1500)
     frame.scroll_into_view_if_needed()
-    still = _picture(frame)
-    assert _drawn_share(still) > 0.02
+    still = _awaited(tab, frame, lambda picture: _drawn_share(picture) > 0.02)
     box = frame.bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     tab.mouse.move(*middle)
     tab.mouse.down()
     tab.mouse.move(middle[0] + 120, middle[1] + 40, steps=6)
     tab.mouse.up()
-    tab.wait_for_timeout(500)
-    turned = _picture(frame)
-    assert (np.abs(turned - still).max(axis=2) > 40).mean() > 0.01
+    _awaited(tab, frame, lambda picture: (np.abs(picture - still).max(axis=2) > 40).mean() > 0.01)
     link.click()
     assert tab.locator("iframe").count() == 0
     assert not tab.troubles
@@ -200,6 +187,15 @@ CONTRAST = """element => {
   const [a, b] = [light(numbers(getComputedStyle(element).color)), light(back)];
   return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
 }"""
+
+
+def _awaited(tab, locator, shown) -> np.ndarray:
+    """The first picture that is as wanted, within 20 s: software draws slowly on a busy machine."""
+    for _ in range(40):
+        if shown(picture := _picture(locator)):
+            return picture
+        tab.wait_for_timeout(500)
+    raise AssertionError("the scene never looked as it should")
 
 
 def _picture(locator) -> np.ndarray:

@@ -14,7 +14,7 @@ from grindvision.book.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision.book.site.chapter_pages import readable
 from grindvision.book.site.findings import findings_page
 from grindvision.book.site.gallery import gallery_page
-from grindvision.book.site.pictures import figures_in, lightened, tables_in
+from grindvision.book.site.pictures import figures_in, light_copies, lightened, tables_in
 from grindvision.book.site.reference import write_reference
 from grindvision.book.site.scenes import SCENES, Scene, scene_link, scenes_page, write_scene
 from grindvision.errors import GrindvisionError
@@ -65,14 +65,14 @@ def build_site(
 
     sources, extra = build / "site_sources", build / "site_extra"
     shutil.rmtree(extra, ignore_errors=True)
-    _gather(sources, build / "executed", figures, notebooks, scenes)
+    light = _gather(sources, build / "executed", figures, notebooks, scenes)
     for scene in scenes:
         page = write_scene(scene, sources / "scenes")
         (extra / "scenes").mkdir(parents=True, exist_ok=True)
         shutil.move(page, extra / "scenes" / page.name)
     if reference:
         write_reference(sources / "api")
-    _write_index(sources)
+    _write_index(sources, light)
     nocolor()
     warnings = io.StringIO()
     shutil.rmtree(site, ignore_errors=True)
@@ -96,15 +96,19 @@ def build_site(
     return site / "index.html"
 
 
-def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> None:
-    """Lay out the sources like the checkout, so that every relative link means the same in both."""
+def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> dict[str, str]:
+    """Lay out the sources like the checkout, so that every relative link means the same in both.
+
+    Returns the light copies of the pictures, as ``light_copies`` does.
+    """
     import nbformat
 
     shutil.rmtree(sources, ignore_errors=True)
     shutil.copytree(FIGURES, sources / "figures")
     shutil.copytree(figures, sources / "figures", dirs_exist_ok=True)
     board = write_scoreboard(sources / "figures")
-    drawn, tables = figures_in(sources / "figures"), tables_in(sources / "figures")
+    light = light_copies(sources / "figures")
+    drawn, tables = figures_in(sources / "figures", light), tables_in(sources / "figures")
     for name, table in tables.items():
         page = sources / "figures" / f"{name}.md"
         page.write_text(f"---\norphan: true\n---\n# Table {table.name}\n\n{page.read_text(encoding='utf-8')}", "utf-8")
@@ -117,7 +121,7 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
         notebook = nbformat.read(copy if copy.exists() else chapter, as_version=4)
         title = re.search(r"^# (.+)$", notebook.cells[0].source, re.MULTILINE)
         titles[number] = f"[{title[1] if title else chapter.stem}](notebooks/{chapter.name})"
-        readable(notebook, board[board["chapter"] == number], drawn, links)
+        readable(notebook, board[board["chapter"] == number], drawn, light, links)
         nbformat.write(notebook, sources / "notebooks" / chapter.name)
 
     exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
@@ -135,7 +139,8 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
     if scenes:
         pages["scenes.md"] = scenes_page(scenes, titles, drawn)
     for name, text in pages.items():
-        (sources / name).write_text(lightened(text, drawn), encoding="utf-8")
+        (sources / name).write_text(lightened(text, light), encoding="utf-8")
+    return light
 
 
 def _exercises_page(names: Sequence[str]) -> str:
@@ -155,15 +160,14 @@ def _exercises_page(names: Sequence[str]) -> str:
     )
 
 
-def _write_index(sources: Path) -> None:
+def _write_index(sources: Path, light: dict[str, str]) -> None:
     """The front page: the README, with the contents of the whole book."""
     chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision/book/site_sources/", "](")
-    front = lightened(readme, figures_in(sources / "figures"))
     groups = []
     for caption, names in _CONTENTS.items():
         pages = [chapters.get(name, name) for name in names]
         there = [page for page in pages if any((sources / f"{page}{kind}").exists() for kind in (".md", ".ipynb"))]
         if there:
             groups.append("\n".join(["```{toctree}", ":hidden:", f":caption: {caption}", "", *there, "```", ""]))
-    (sources / "index.md").write_text("\n".join([front, *groups]), encoding="utf-8")
+    (sources / "index.md").write_text("\n".join([lightened(readme, light), *groups]), encoding="utf-8")

@@ -21,7 +21,11 @@ _DRAWS = re.compile(r"\bbook\.save_(figure|scene|table)\(|\bplt\.(figure|subplot
 
 
 def readable(
-    notebook: NotebookNode, rows: pd.DataFrame, figures: Mapping[str, Figure], scenes: Mapping[str, str]
+    notebook: NotebookNode,
+    rows: pd.DataFrame,
+    figures: Mapping[str, Figure],
+    light: Mapping[str, str],
+    scenes: Mapping[str, str],
 ) -> NotebookNode:
     """Change a notebook in place for its page, and return it.
 
@@ -29,13 +33,14 @@ def readable(
         notebook: with its outputs, as far as there are any.
         rows: this chapter's rows of the scoreboard.
         figures: by name.
+        light: file name -> name of its light copy.
         scenes: HTML that opens the 3D scene of a figure, by the figure's name.
     """
     from nbformat.v4 import new_markdown_cell
 
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
-            cell.source = lightened(cell.source, figures)
+            cell.source = lightened(cell.source, light)
             continue
         if _DRAWS.search(cell.source):
             cell.metadata.tags = [*cell.metadata.get("tags", []), "hide-input"]

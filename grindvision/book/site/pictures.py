@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 #: A drawing in SVG that is heavier than this many bytes is shown as a WebP picture instead.
-HEAVY_BYTES = 90_000
+HEAVY_BYTES = 75_000
 
 #: Widest picture in a page, in pixels: nearly twice the column of text on a desk.
 WIDEST_PX = 1200
+
+_QUALITY = 72
 
 
 @dataclass(frozen=True)
@@ -33,9 +36,27 @@ class Table:
     chapter: str
 
 
-def figures_in(folder: Path) -> dict[str, Figure]:
-    """Every figure of a folder, by name; heavy ones get a WebP copy beside them."""
-    return {path.stem: _figure(path) for path in sorted(folder.glob("*.svg"))}
+def light_copies(folder: Path) -> dict[str, str]:
+    """Write a WebP copy of every heavy drawing and every animation; returns file name -> name of its copy."""
+    light = {}
+    for path in sorted(folder.glob("*.svg")):
+        if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists():
+            light[path.name] = f"{path.stem}.webp"
+            _write_picture(path.with_suffix(".png"), folder / light[path.name])
+    for path in sorted(folder.glob("*.gif")):
+        light[path.name] = f"{path.stem}_moving.webp"
+        _write_animation(path, folder / light[path.name])
+    return light
+
+
+def figures_in(folder: Path, light: Mapping[str, str]) -> dict[str, Figure]:
+    """Every figure of a folder, by name; ``light`` as ``light_copies`` returns it."""
+    found = {}
+    for path in sorted(folder.glob("*.svg")):
+        about = path.read_text(encoding="utf-8")[:4000]
+        chapter = _metadata(about, "source").removeprefix("chapter ")
+        found[path.stem] = Figure(path.stem, _metadata(about, "description"), chapter, light.get(path.name, path.name))
+    return found
 
 
 def tables_in(folder: Path) -> dict[str, Table]:
@@ -47,24 +68,13 @@ def tables_in(folder: Path) -> dict[str, Table]:
     return found
 
 
-def lightened(text: str, figures: dict[str, Figure]) -> str:
-    """Text of a page in which pictures of heavy figures are replaced by their light copies; links to files stay."""
+def lightened(text: str, light: Mapping[str, str]) -> str:
+    """Text of a page in which pictures that have a light copy are replaced by it; links to files stay."""
 
     def lighter(match: re.Match[str]) -> str:
-        figure = figures.get(match["name"])
-        return match[0] if figure is None else f"{match['before']}{figure.shown}"
+        return match["before"] + light.get(match["file"], match["file"])
 
-    return re.sub(r"(?P<before>(?:!\[[^\]]*\]\(|src=\"|\{figure\} )[^)\"]*figures/)(?P<name>\w+)\.svg", lighter, text)
-
-
-def _figure(path: Path) -> Figure:
-    about = path.read_text(encoding="utf-8")[:4000]
-    caption, source = (_metadata(about, tag) for tag in ("description", "source"))
-    shown = path.name
-    if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists():
-        shown = path.with_suffix(".webp").name
-        _write_webp(path.with_suffix(".png"), path.with_suffix(".webp"))
-    return Figure(path.stem, caption, source.removeprefix("chapter "), shown)
+    return re.sub(r"(?P<before>(?:!\[[^\]]*\]\(|src=\"|\{figure\} )[^)\"\s]*figures/)(?P<file>[\w.]+)", lighter, text)
 
 
 def _metadata(svg: str, tag: str) -> str:
@@ -72,10 +82,19 @@ def _metadata(svg: str, tag: str) -> str:
     return " ".join(html.unescape(found[1]).split()) if found else ""
 
 
-def _write_webp(png: Path, webp: Path) -> None:
+def _write_picture(png: Path, webp: Path) -> None:
     from PIL import Image
 
     with Image.open(png) as picture:
         small = picture.convert("RGB")
         small.thumbnail((WIDEST_PX, 4 * WIDEST_PX), Image.Resampling.LANCZOS)
-        small.save(webp, quality=72, method=6)
+        small.save(webp, quality=_QUALITY)
+
+
+def _write_animation(gif: Path, webp: Path) -> None:
+    from PIL import Image, ImageSequence
+
+    with Image.open(gif) as picture:
+        duration_ms = picture.info.get("duration", 100)
+        first, *others = [frame.convert("RGB") for frame in ImageSequence.Iterator(picture)]
+    first.save(webp, save_all=True, append_images=others, duration=duration_ms, loop=0, quality=40)

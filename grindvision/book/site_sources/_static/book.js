@@ -8,6 +8,9 @@ function enlargePictures() {
   dialog.setAttribute("aria-label", "Enlarged picture");
   document.body.append(dialog);
   dialog.addEventListener("click", () => dialog.close());
+  dialog.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") dialog.close(); // the theme keeps this key for its search
+  });
   for (const picture of document.querySelectorAll(".bd-article img")) {
     if (picture.closest("a, button")) continue;
     const button = document.createElement("button");
