@@ -143,8 +143,8 @@ GROOVE = Race(
             smoothing_mm=4.0, radius_mm=5.0, threshold_deg=9.0,
         ),
         pcl(
-            "PCL, best overlap", "groove", "moving least squares 8 mm, normals and histograms 6 mm, threshold 8 deg",
-            smoothing_mm=8.0, radius_mm=6.0, threshold_deg=8.0,
+            "PCL, smoothest", "groove", "moving least squares 8 mm, normals and histograms 6 mm, threshold 9 deg",
+            smoothing_mm=8.0, radius_mm=6.0, threshold_deg=9.0,
         ),
         Racer(
             "Open3D + NumPy", "open3d_peer:groove", settings={"radius_mm": 5.0, "threshold_deg": 8.0}, needs="open3d",

@@ -88,6 +88,7 @@ static std::vector<Eigen::Vector3d> wayPoints(const Cloud& cloud, const pcl::Ind
     const double s = axis.dot(cloud[i].getVector3fMap().cast<double>());
     low = std::min(low, s), high = std::max(high, s);
   }
+  if (high <= low) return {mean};
   std::vector<std::vector<Eigen::Vector3d>> slabs(kSlabs);
   for (int i : groove) {
     const Eigen::Vector3d p = cloud[i].getVector3fMap().cast<double>();
