@@ -53,7 +53,7 @@ def readable(
 def scoreboard_html(rows: pd.DataFrame) -> str:
     """Rows of the scoreboard as a table that unfolds, each with its verdict in words and colour."""
     head = "".join(
-        f"<th scope='col'>{name}</th>" for name in ("item", "quantity", "paper", "rebuilt", "tolerance", "verdict")
+        f"<th scope='col'>{name}</th>" for name in ("verdict", "item", "quantity", "paper", "rebuilt", "tolerance")
     )
     lines = []
     for row in rows.itertuples(index=False):
@@ -62,7 +62,7 @@ def scoreboard_html(rows: pd.DataFrame) -> str:
         cells += [f"{_number(value)}{unit if value == value else ''}" for value in (row.paper, row.rebuilt)]
         cells += [f"&plusmn;{_number(row.tolerance)}"]
         verdict = f"<td><span class='verdict {row.verdict.replace(' ', '-')}'>{row.verdict}</span></td>"
-        lines.append("<tr>" + "".join(f"<td>{text}</td>" for text in cells) + verdict + "</tr>")
+        lines.append("<tr>" + verdict + "".join(f"<td>{text}</td>" for text in cells) + "</tr>")
     counts = {word: (rows["verdict"] == word).sum() for word in VERDICTS}
     summary = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     fold = "open" if len(rows) <= FEW_ROWS else ""
