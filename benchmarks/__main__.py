@@ -71,13 +71,14 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
             found = [measured.without_reading() for measured in found]
         table = report.table_of(found, one.accuracy, one.lap)
         notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
-        report.write_race(folder, one.name, one.title, table, notes, facts, one.drawn)
+        fig = report.race_picture(one.title, table, one.drawn) if one.drawn else None
+        report.write_results(folder, one.name, one.title, table, notes, facts, fig)
         if one.name == races.DETECT.name:
             write_growth(folder, table, facts)
             write_floors(folder, plan, facts)
     reached = goals(folder)
     if len(reached):
-        report.write_race(folder, "goals", "What was asked of the races", reached, [], facts)
+        report.write_results(folder, "goals", "What was asked of the races", reached, [], facts)
 
 
 def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> None:
@@ -85,8 +86,8 @@ def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> No
     if table["case"].nunique() > 1:
         title = "Whole detection: growth of time with size"
         fig, slopes = report.growth_picture(title, table)
-        report.save_picture(fig, folder / "bench_growth")
-        report.write_race(folder, "growth", title, slopes, ["slope of the straight line through log(time)"], facts)
+        notes = ["slope: of the straight line through log(time) over log(points)."]
+        report.write_results(folder, "growth", title, slopes, notes, facts, fig)
 
 
 def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:
@@ -94,7 +95,7 @@ def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:
     table, rates = floors(plan)
     title = "Stages of whole detection and their floors"
     notes = ["A floor is what no method can do without: bytes over bandwidth, visits, multiply-adds.", *rates]
-    report.write_race(folder, "floors", title, table, notes, facts)
+    report.write_results(folder, "floors", title, table, notes, facts)
 
 
 def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[str]]:

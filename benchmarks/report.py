@@ -83,26 +83,30 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: 
     return table
 
 
-def write_race(
+def write_results(
     folder: Path, name: str, title: str, table: pd.DataFrame, notes: Sequence[str], facts: dict[str, str],
-    drawn: Sequence[str] = (),
+    fig: Figure | None = None,
 ) -> None:  # fmt: skip
-    """Write ``bench_name.csv`` and ``.md``, and a picture of times, memory and the ``drawn`` accuracy columns."""
+    """Write ``bench_name.csv``, the page ``bench_name.md``, and the picture that belongs to them."""
     write_text(folder / f"bench_{name}.csv", csv_text(table))
     shown = table.drop(columns=[column for column in HIDDEN if column in table])
     machine = "; ".join(f"{what} {value}" for what, value in facts.items())
-    lines = [f"# {title}", "", markdown_table(shown), "", *(f"- {note}" for note in notes), f"- Run on: {machine}.", ""]
+    picture = [] if fig is None else [f"![{title}: the numbers are in the table below](bench_{name}.png)", ""]
+    notes = [*notes, f"Run on: {machine}."]
+    lines = [f"# {title}", "", *picture, markdown_table(shown), "", *(f"- {note}" for note in notes), ""]
     write_text(folder / f"bench_{name}.md", "\n".join(lines))
-    if drawn:
-        with plt.style.context(STYLE):
-            save_picture(race_picture(title, table, drawn), folder / f"bench_{name}")
+    if fig is not None:
+        save_picture(fig, title, folder / f"bench_{name}")
 
 
-def save_picture(fig: Figure, stem: Path) -> None:
+def save_picture(fig: Figure, title: str, stem: Path) -> None:
     """Save as svg and png, whole or not at all, and close."""
-    for suffix in (".svg", ".png"):
-        with write_whole(stem.with_suffix(suffix)) as path:
-            fig.savefig(path, metadata={"Date": None} if suffix == ".svg" else {"Software": None})
+    about = {"Title": stem.name, "Description": f"{title}; synthetic scans, measured times"}
+    of_svg = {**about, "Source": "races", "Date": None, "Creator": None}
+    with plt.style.context(STYLE):
+        for suffix, metadata in {".svg": of_svg, ".png": {**about, "Software": None}}.items():
+            with write_whole(stem.with_suffix(suffix)) as path:
+                fig.savefig(path, metadata=metadata)
     plt.close(fig)
 
 
@@ -111,10 +115,11 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
     cases = list(dict.fromkeys(table["case"]))
     places = np.concatenate([np.flatnonzero(table["case"] == case) + 1.2 * cases.index(case) for case in cases])
     panels = ["median_s", "peak_mib", *drawn]
-    fig, axes = plt.subplots(
-        1, len(panels), figsize=(4.2 + 2.1 * len(panels), 2.4 + 0.2 * places[-1]), sharey=True, squeeze=False,
-        width_ratios=[1.5] + [1] * (len(panels) - 1),
-    )  # fmt: skip
+    with plt.style.context(STYLE):
+        fig, axes = plt.subplots(
+            1, len(panels), figsize=(4.2 + 2.1 * len(panels), 2.4 + 0.2 * places[-1]), sharey=True, squeeze=False,
+            width_ratios=[1.5] + [1] * (len(panels) - 1),
+        )  # fmt: skip
     for panel, column in zip(axes[0], panels, strict=True):
         _dots(panel, table, places, column)
     first = axes[0, 0]

@@ -24,6 +24,11 @@ SOURCES = Path(__file__).parents[1] / "site_sources"
 _TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
 _LINKED = ("LICENSE", "LICENSE-TEXT", "CITATION.cff", "environment.txt", "data/paper/expected.csv")
 
+_RACES = (
+    "goals", "detect", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel", "fpfh",
+    "startup", "first_call",
+)  # fmt: skip
+
 #: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
 _CONTENTS = {
     "The book": ("00", "figures/scoreboard", "findings", "gallery", "scenes"),
@@ -31,8 +36,9 @@ _CONTENTS = {
     "peng2020: welding": ("10", "11"),
     "Your own scans and arm": ("12", "when_it_does_not_work"),
     "Teaching": ("teachers_guide", "exercises"),
+    "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
     "Reference": (
-        "conventions", "glossary", "api/index", "benchmarks/README", "data/README", "references", "CHANGELOG",
+        "conventions", "glossary", "api/index", "data/README", "references", "CHANGELOG",
         "CONTRIBUTING",
     ),
 }  # fmt: skip
@@ -133,7 +139,9 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
             shutil.copyfile(ROOT / page, sources / page)
     pages = {path.name: path.read_text(encoding="utf-8") for path in SOURCES.glob("*.md")}
     pages["findings.md"] = findings_page(pages["findings.md"], sources / "figures")
-    pages["gallery.md"] = gallery_page(sources / "figures", drawn, tables, titles)
+    pages["gallery.md"] = gallery_page(
+        sources / "figures", drawn, tables, {**titles, "races": "[Races](benchmarks/README.md)"}
+    )
     if exercises:
         pages["exercises.md"] = _exercises_page([path.stem for path in exercises])
     if scenes:
