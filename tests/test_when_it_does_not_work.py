@@ -102,6 +102,11 @@ def metres(folder):
     return two(folder, beaded().sample, beaded().test / 1000)
 
 
+@mistake("The unit is in doubt")
+def inches_for_millimetres(folder):
+    return two(folder, beaded().sample / 25.4, beaded().test / 25.4)
+
+
 @mistake("One of the two scans has another unit")
 def inches(folder):
     return two(folder, beaded().sample, beaded().test * 25.4)
