@@ -47,7 +47,9 @@ def write_whole(path: str | Path) -> Iterator[Path]:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror or error}; free space or choose a folder") from None
+        raise FileError(
+            f"cannot write {path}: {error.strerror or error}; free space or choose another folder"
+        ) from None
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -93,7 +95,9 @@ def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> It
     except FileError as error:
         raise FileError(str(error).replace(f"{place}{os.sep}", f"{folder}{os.sep}")) from None
     except OSError as error:
-        raise FileError(f"cannot write to {folder}: {error.strerror or error}; free space or choose a folder") from None
+        raise FileError(
+            f"cannot write to {folder}: {error.strerror or error}; free space or choose another folder"
+        ) from None
     finally:
         shutil.rmtree(place, ignore_errors=True)
         _remove_empty(new)

@@ -39,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
             return code
     except GrindvisionError as error:
+        _forget_output()
         return _failure(name, str(error), 2)
     except KeyboardInterrupt:
         return _failure(name, "interrupted; nothing half-written is left", 1)

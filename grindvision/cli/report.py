@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision import __version__
 from grindvision.cli.parameters import NO_PARAMETERS, parameters_text
 from grindvision.cli.progress import Progress
-from grindvision.errors import GrindvisionWarning
+from grindvision.errors import FileError, GrindvisionWarning
 from grindvision.files import plain, sha256, write_set, write_text
 
 if TYPE_CHECKING:
@@ -81,7 +81,13 @@ class Run:
         if error is None:
             for text in told:
                 print(f"warning: {text}", file=sys.stderr)
-            print(self._output)
+            try:
+                print(self._output, flush=True)
+            except BrokenPipeError:
+                raise
+            except OSError as failure:
+                place = self._options.output
+                raise FileError(f"{failure.strerror} on stdout; the results stand complete in {place}") from None
         return handled
 
     @property

@@ -92,7 +92,7 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
     record = np.dtype([(f"{at}", kind) for at, kind in enumerate(kinds)])
     left = bytes_left(path, file)
     if count * record.itemsize > left:
-        raise too_short(path, count, f"of {record.itemsize} bytes, the file holds {left} bytes")
+        raise too_short(path, count, f"{record.itemsize} bytes each, the file holds {left} bytes")
     point, normal = chosen_columns(names)
     if point is None:
         raise FileError(f"{path}: points need x y z; found {' '.join(names)}")
