@@ -165,8 +165,8 @@ def read_table(
 ) -> pd.DataFrame:
     """Read a CSV whose named columns must be there, and whose ``numbers`` columns must be finite floats.
 
-    Commas, semicolons or tabs part the columns; where it is not the comma, numbers may have a decimal comma. A column ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or
-    ``x_m``; it is converted. Further columns are kept as they are.
+    Commas, semicolons or tabs part the columns; where it is not the comma, numbers may have a decimal comma. A column
+    ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or ``x_m``; it is converted. Further columns are kept.
 
     Args:
         path: file.
