@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.vision.bead_course import bead_course
 from grindvision.vision.bead_path import trace_bead
 from grindvision.vision.boxes import box_path, minimal_box
 from grindvision.vision.detection import DetectOptions, detect
@@ -177,6 +178,34 @@ def test_steep_places_are_less_certain_after_an_uncertain_registration(found):
     wide, narrow = (find_difference(found.sample, found.test, one).level_mm for one in (unsure, sure))
     shown = ~np.isnan(found.difference.signed_mm)
     assert (wide[shown] > np.hypot(narrow[shown], 0.19)).all()
+
+
+def test_no_level_is_below_what_the_scans_agree_to(found):
+    signed = found.difference.signed_mm[~np.isnan(found.difference.signed_mm)]
+    spread = 1.4826 * np.median(np.abs(signed - np.median(signed)))
+    assert found.difference.level_mm.min() >= 1.96 * spread * 0.999
+
+
+def test_a_thinly_sampled_straight_bead_does_not_seem_to_branch():
+    for seed in range(30):
+        draw = np.random.default_rng(seed)
+        s, b = draw.uniform(0, 24, 50), draw.uniform(-1.9, 1.9, 50)
+        h = 1.5 * (1 - (b / 2) ** 2)
+        thin = Cluster(np.column_stack([s, b, h]), h, np.tile([0.0, 0, 1], (50, 1)), 1.8, 60.0, 60.0, 1.5)
+        curve, closed, _ = bead_course(thin)
+        assert not closed
+        assert np.ptp(curve[:, 0]) > 12
+
+
+def test_a_flank_in_shadow_does_not_move_the_ridge(rng):
+    """All points of a bead on a plane, and those of one flank alone: the ridge stays where it is."""
+    s, b = rng.uniform(0, 30, 6000), rng.uniform(-2, 2, 6000)
+    h = 1.5 * (1 - (b / 2) ** 2) + rng.normal(scale=0.02, size=6000)
+    places, up = np.column_stack([s, b, h]), np.tile([0.0, 0, 1], (6000, 1))
+    for lit in (b > -2, b > -0.3):
+        path = trace_bead(Cluster(places[lit], h[lit], up[lit], 0.9, 100.0, 100.0, 1.5))
+        assert np.abs(path.points[:, 1]).mean() < 0.03
+        assert path.points[:, 2] == pytest.approx(1.5, abs=0.03)
 
 
 def test_the_paper_s_threshold_is_squared_in_pcl(rng):

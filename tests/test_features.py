@@ -105,6 +105,15 @@ def test_normals_of_a_sphere_point_at_the_viewpoint(rng):
     assert ((unseen_side * seen).sum(axis=1) > 0).mean() > 0.999
 
 
+def test_a_flat_part_in_the_base_frame_faces_up_and_is_not_seen_edge_on(rng):
+    plate = np.column_stack([rng.uniform(-80, 80, 4000), rng.uniform(500, 660, 4000), rng.normal(20, 0.05, 4000)])
+    normals = estimate_normals(plate, 12.0, viewpoint_mm=None)
+    assert (normals[:, 2] > 0.9).all()
+    assert guess_viewpoint(plate) is not None
+    assert guess_viewpoint(plate, normals) is None
+    assert guess_viewpoint(plate + [0, 0, 400.0], normals) is not None
+
+
 def test_the_viewpoint_is_guessed_only_where_it_can_be():
     scanned = pair().sample
     np.testing.assert_array_equal(guess_viewpoint(scanned), np.zeros(3))
