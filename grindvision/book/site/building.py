@@ -22,7 +22,14 @@ from grindvision.errors import GrindvisionError
 SOURCES = Path(__file__).parents[1] / "site_sources"
 
 _TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
-_LINKED = ("LICENSE", "LICENSE-TEXT", "CITATION.cff", "environment.txt", "data/paper/expected.csv")
+_LINKED = (
+    "LICENSE",
+    "LICENSE-TEXT",
+    "CITATION.cff",
+    "environment.txt",
+    "data/paper/expected.csv",
+    ".github/workflows/pages.yml",
+)
 
 _RACES = (
     "goals", "detect", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel", "fpfh",
