@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import importlib
 import os
 import signal
@@ -42,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _forget_output()
         return _failure(name, str(error), 2)
     except KeyboardInterrupt:
+        if arguments is None:
+            atexit.register(os._exit, 1)  # a tidy end could meet worker threads in compiled code, and abort
         return _failure(name, "interrupted; nothing half-written is left", 1)
     except BrokenPipeError:
         _forget_output()
