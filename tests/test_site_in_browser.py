@@ -113,13 +113,7 @@ def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
     tab.frame_locator("iframe.scene").locator("canvas").first.wait_for()
     frame.scroll_into_view_if_needed()
     still = _awaited(tab, frame, lambda picture: _drawn_share(picture) > 0.02)
-    box = frame.bounding_box()
-    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    tab.mouse.move(*middle)
-    tab.mouse.down()
-    tab.mouse.move(middle[0] + 120, middle[1] + 40, steps=6)
-    tab.mouse.up()
-    _awaited(tab, frame, lambda picture: (np.abs(picture - still).max(axis=2) > 40).mean() > 0.01)
+    _awaited(tab, frame, lambda picture: (np.abs(picture - still).max(axis=2) > 40).mean() > 0.01, _drag)
     link.click()
     assert tab.locator("iframe").count() == 0
     assert not tab.troubles
@@ -189,13 +183,23 @@ CONTRAST = """element => {
 }"""
 
 
-def _awaited(tab, locator, shown) -> np.ndarray:
-    """The first picture that is as wanted, within 20 s: software draws slowly on a busy machine."""
+def _awaited(tab, frame, shown, act=lambda tab, frame: None) -> np.ndarray:
+    """The first picture that is as wanted, within 20 s, acting before each: software draws slowly on a busy machine."""
     for _ in range(40):
-        if shown(picture := _picture(locator)):
+        act(tab, frame)
+        if shown(picture := _picture(frame)):
             return picture
         tab.wait_for_timeout(500)
     raise AssertionError("the scene never looked as it should")
+
+
+def _drag(tab, frame) -> None:
+    box = frame.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    tab.mouse.move(x + 120, y + 40, steps=6)
+    tab.mouse.up()
 
 
 def _picture(locator) -> np.ndarray:
