@@ -93,7 +93,7 @@ def test_every_page_loads_light_and_without_error_draws_its_formulas_and_fits_a_
 def test_the_search_finds(whole_site, tab, words):
     tab.goto((whole_site / "index.html").as_uri())
     tab.keyboard.press("Control+k")
-    tab.locator("dialog input[type=search]").fill(words)
+    tab.locator("form.bd-search input:visible").first.fill(words)
     tab.keyboard.press("Enter")
     tab.wait_for_url("**/search.html*")
     results = tab.locator("#search-results a")
