@@ -164,7 +164,8 @@ def _exercises_page(names: Sequence[str]) -> str:
             "# Exercises",
             "",
             "One notebook for each chapter, for JupyterLab (`./run lab`, folder `exercises`). After a cell to fill in "
-            "comes a check that tries your function on inputs you do not see, and names the likely mistake.",
+            "comes a check that tries your function on inputs you do not see, and names the likely mistake. Solutions "
+            "lie in `notebooks/solutions`.",
             "",
             "```{toctree}",
             "",
@@ -179,6 +180,7 @@ def _write_index(sources: Path, light: dict[str, str]) -> None:
     """The front page: the README, with the contents of the whole book."""
     chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision/book/site_sources/", "](")
+    readme = re.sub(r"\]\(notebooks/(exercises|solutions)\)", "](exercises.md)", readme)  # folders are no pages
     groups = []
     for caption, names in _CONTENTS.items():
         pages = [chapters.get(name, name) for name in names]

@@ -14,7 +14,7 @@ HEAVY_BYTES = 75_000
 #: Widest picture in a page, in pixels: nearly twice the column of text on a desk.
 WIDEST_PX = 1200
 
-_QUALITY = 66
+_QUALITY = 55
 
 
 @dataclass(frozen=True)

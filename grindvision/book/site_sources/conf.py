@@ -93,6 +93,6 @@ def _without_icon_library(app, error):
         # The theme's release for Python 3.10 links the library's fonts instead.
         for page in Path(app.outdir).glob("**/*.html"):
             text = page.read_text(encoding="utf-8")
-            lighter = re.sub(r"\s*<link[^>]*vendor/fontawesome[^>]*>", "", text)
+            lighter = re.sub(r"\s*<(?:link|script)[^>]*vendor/fontawesome[^>]*>(?:</script>)?", "", text)
             if lighter != text:
                 page.write_text(lighter, encoding="utf-8")
