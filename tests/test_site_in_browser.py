@@ -48,11 +48,16 @@ def tab(browser):
     page.loaded = set()
     page.on("console", lambda message: message.type == "error" and page.troubles.append(message.text))
     page.on("pageerror", lambda error: page.troubles.append(str(error)))
-    page.on("requestfailed", lambda request: page.troubles.append(f"failed: {request.url[:200]}"))
+    page.on("requestfailed", functools.partial(_note_failure, page))
     page.on("request", lambda request: page.loaded.add(request.url))
     context.route("**/*", functools.partial(_only_files, page))
     yield page
     context.close()
+
+
+def _note_failure(page, request) -> None:
+    if request.failure != "net::ERR_ABORTED":  # the test went on to the next page while the picture came in
+        page.troubles.append(f"failed: {request.url[:200]}: {request.failure}")
 
 
 def _only_files(page, route) -> None:
