@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.book.answers import summary
+from grindvision.book.blocks import replace_block
 from grindvision.book.figures import markdown_table
 from grindvision.book.places import ROOT
-from grindvision.errors import FileError
-from grindvision.files import write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,8 +46,4 @@ def write_readme(table: pd.DataFrame, readme: Path = README) -> None:
     Raises:
         FileError: the README lacks the two marks between which the block stands.
     """
-    text = readme.read_text(encoding="utf-8")
-    if text.count(FIRST) != 1 or text.count(LAST) != 1:
-        raise FileError(f"{readme}: the marks {FIRST} and {LAST} must each stand there once; put them back")
-    before, rest = text.split(FIRST)
-    write_text(readme, before + scoreboard_block(table) + rest.split(LAST)[1])
+    replace_block(readme, scoreboard_block(table), FIRST, LAST)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from grindvision.book.blocks import replace_block
 from grindvision.book.exercises.checking import exercises_of
-from grindvision.errors import FileError
-from grindvision.files import write_text
 
 GUIDE = Path(__file__).parents[1] / "site_sources" / "teachers_guide.md"
 FIRST, LAST = "<!-- mistakes: written by `python -m grindvision.book.exercises` -->", "<!-- end of mistakes -->"
@@ -27,9 +26,5 @@ def write_guide(chapters: Iterable[str], guide: Path = GUIDE) -> Path:
     Raises:
         FileError: the guide lacks the two marks between which the block stands.
     """
-    text = guide.read_text(encoding="utf-8")
-    if text.count(FIRST) != 1 or text.count(LAST) != 1:
-        raise FileError(f"{guide}: the marks {FIRST} and {LAST} must each stand there once; put them back")
-    before, rest = text.split(FIRST)
-    write_text(guide, before + mistakes_block(chapters) + rest.split(LAST)[1])
+    replace_block(guide, mistakes_block(chapters), FIRST, LAST)
     return guide
