@@ -8,9 +8,10 @@ import json
 import math
 import os
 import shutil
+import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Units a column's name may end in besides ours: the other's name and what one of it is in ours.
 UNITS = {"rad": ("deg", math.pi / 180), "mm": ("m", 1000.0)}
-LARGEST_JSON = 1_000_000
+LARGEST_SETTINGS = 1_000_000
 
 
 @contextmanager
@@ -219,15 +220,32 @@ def read_json(path: str | Path) -> Any:
     Raises:
         FileError: missing, too large to be meant, or no JSON.
     """
-    path = Path(path)
+    return _read_small(Path(path), json.loads, "JSON")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises:
+        FileError: missing, too large to be meant, or no TOML.
+    """
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    return _read_small(Path(path), tomllib.loads, "TOML")
+
+
+def _read_small(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
     try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; a JSON file of this kind is small, check the path")
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        if path.stat().st_size > LARGEST_SETTINGS:
+            raise FileError(f"{path}: {path.stat().st_size} bytes; a {kind} file of this kind is small, check the path")
+        return parse(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
     except (ValueError, RecursionError) as error:
-        raise FileError(f"{path}: not a readable JSON file ({' '.join(str(error).split())}); write it again") from None
+        reason = " ".join(str(error).split())[:120]
+        raise FileError(f"{path}: not a readable {kind} file ({reason}); mend it or write it again") from None
 
 
 def _text_table(path: Path) -> pd.DataFrame:

@@ -6,15 +6,13 @@ import argparse
 import difflib
 import json
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from grindvision import __version__
-from grindvision.errors import FileError, InputError
-
-LARGEST_FILE = 1_000_000
+from grindvision.errors import InputError
+from grindvision.files import read_toml
 
 #: Options that say where results go, not what they are.
 NO_PARAMETERS = ("help", "output", "parameters", "json")
@@ -63,7 +61,7 @@ def with_parameter_file(command: argparse.ArgumentParser, words: Sequence[str]) 
     options = {name: action for name, action in options.items() if name not in NO_PARAMETERS}
     path = Path(named[-1])
     before: list[str] = []
-    for key, value in _read_toml(path).items():
+    for key, value in read_toml(path).items():
         name = key.replace("_", "-")
         if name not in options:
             near = difflib.get_close_matches(name, options, n=1, cutoff=0.5)
@@ -85,21 +83,6 @@ def parameters_text(command: str, parameters: Mapping[str, Any], from_the_data: 
         lines += ["", "# from the data:"]
         lines += [f"# {name} = {_toml(value)}" for name, value in from_the_data.items()]
     return "\n".join(lines) + "\n"
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; a parameter file is small, check the path")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{path}: not a readable TOML file ({' '.join(str(error).split())[:120]}); mend it") from None
 
 
 def _words(path: Path, name: str, value: Any, action: argparse.Action) -> list[str]:
