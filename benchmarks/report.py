@@ -23,6 +23,7 @@ from grindvision.files import write_text, write_whole
 
 KINDS = {"ours": "grindvision", "paper_variant": "grindvision, the paper's variant", "peer": "peer"}
 STYLE = Path(grindvision.book.__file__).with_name("book.mplstyle")
+ORIGIN = "Inputs are synthetic, made by grindvision's own cell from the seed below; times and memory are measured."
 LABELS = {
     "median_s": "median time (s), from min to max",
     "peak_mib": "peak memory (MiB)",
@@ -92,7 +93,7 @@ def write_results(
     shown = table.drop(columns=[column for column in HIDDEN if column in table])
     machine = "; ".join(f"{what} {value}" for what, value in facts.items())
     picture = [] if fig is None else [f"![{title}: the numbers are in the table below](bench_{name}.png)", ""]
-    notes = [*notes, f"Run on: {machine}."]
+    notes = [*notes, ORIGIN, f"Run on: {machine}."]
     lines = [f"# {title}", "", *picture, markdown_table(shown), "", *(f"- {note}" for note in notes), ""]
     write_text(folder / f"bench_{name}.md", "\n".join(lines))
     if fig is not None:
