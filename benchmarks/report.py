@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 import grindvision.book
 from benchmarks.racing import Measurement
@@ -35,6 +35,7 @@ LABELS = {
     "bead_percent": "bead found (%)",
     "error_mean_mm": "held-out error (mm)",
     "matches_percent": "right matches (%)",
+    "centroid_error_mm": "centroid error (mm)",
 }
 HIDDEN = ("kind", "cpu_s", "stages_s")
 """Columns of the csv that the Markdown table leaves out."""
@@ -230,3 +231,5 @@ def _set_limits(axes: Axes, values: np.ndarray, room: float) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_xlim(0, room**0.25 * values.max() or 1)
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.xaxis.set_major_formatter("{x:g}")
