@@ -66,12 +66,13 @@ def analyse(
     units = np.asarray(units, dtype=float)
     if matrix.ndim != 2 or matrix.shape[1] != len(names) or units.shape != (len(names),):
         raise InputError(f"design {matrix.shape} and units {units.shape} do not fit {len(names)} names")
-    matrix = matrix * units
-    values, rows = np.linalg.svd(matrix, full_matrices=True)[1:]
+    # The triangle of the QR decomposition has the same singular values, right singular vectors and column norms.
+    triangle = np.linalg.qr(matrix * units, mode="r")
+    values, rows = np.linalg.svd(triangle, full_matrices=True)[1:]
     values = np.concatenate([values, np.zeros(len(names) - len(values))])
     least = max(tolerance * values[0], 1 / worst_std)
     rank = int((values > least).sum())
-    diagonal = np.abs(np.diag(qr(matrix, mode="r", pivoting=True)[0]))
+    diagonal = np.abs(np.diag(qr(triangle, mode="r", pivoting=True)[0]))
     null_space = _sparse_basis(rows[rank:].T)
     known = np.abs(null_space).max(axis=1, initial=0) < 1e-3
     null_space = null_space * units[:, None]
