@@ -14,18 +14,23 @@ from grindvision.arm.mdh import PARAMETERS, MdhArm, joint_transforms
 Floats = NDArray[np.float64]
 
 
-def joint_twists(arm: MdhArm, q_rad: ArrayLike) -> Floats:
-    """Twists (..., 6, n) of the last link per radian of each joint, at joint angles (..., n)."""
-    frames = joint_transforms(arm, q_rad)[..., 1:, :, :]
-    return _turn_about(frames[..., :3, 2], frames[..., :3, 3])
+def joint_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) -> Floats:
+    """Twists (..., 6, n) of the last link per radian of each joint, at joint angles (..., n).
+
+    ``frames`` are the ``joint_transforms`` there, where they are known already.
+    """
+    frames = joint_transforms(arm, q_rad) if frames is None else frames
+    after = frames[..., 1:, :, :]
+    return _turn_about(after[..., :3, 2], after[..., :3, 3])
 
 
-def parameter_twists(arm: MdhArm, q_rad: ArrayLike) -> Floats:
+def parameter_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) -> Floats:
     """Twists (..., 6, 5 n) of the last link per unit of each MDH parameter; columns joint by joint as ``PARAMETERS``.
 
-    They are the columns of Q_i M_i in Eqs 12-14 of the first paper.
+    They are the columns of Q_i M_i in Eqs 12-14 of the first paper. ``frames`` are the ``joint_transforms`` there,
+    where they are known already.
     """
-    frames = joint_transforms(arm, q_rad)
+    frames = joint_transforms(arm, q_rad) if frames is None else frames
     before, after = frames[..., :-1, :, :], frames[..., 1:, :, :]
     x_axis = before[..., :3, 0]
     # The tilted frame between Tx(a) and Ry(beta) has its y axis where Rx(alpha) leaves it and its origin behind Tx(a).

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.arm import MdhArm, forward
+from grindvision.arm import MdhArm
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, joint_slopes, moved_cell
+from grindvision.calibration.model import CarriedPoints, ScannerOnArm, Unknowns, carry
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +56,7 @@ def unit_sizes(measurements: Measurements, unknowns: Unknowns) -> Floats:
 
 def noise_covariances(cell: ScannerOnArm, measurements: Measurements, spreads: Spreads) -> Floats:
     """Covariance (M, 3, 3) of each residual in the tracker's frame: sphere fit, tracker, joints and the rest."""
-    slopes = joint_slopes(cell, measurements.q_rad, measurements.scanner_mm)
-    return _known_covariances(cell, measurements) + _noise(slopes, spreads)
+    return _noise_covariances(_carried(cell, measurements), measurements, spreads)
 
 
 def residuals_of(cell: ScannerOnArm, measurements: Measurements) -> Floats:
@@ -73,9 +72,8 @@ def prior_widths(unknowns: Unknowns, spreads: Spreads) -> Floats:
 
 def whitened_design(cell: ScannerOnArm, unknowns: Unknowns, measurements: Measurements, spreads: Spreads) -> Floats:
     """Design matrix (3 M, K) whose rows are scaled to unit noise."""
-    design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns)
-    whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(cell, measurements, spreads)))
-    return (whitening @ design).reshape(-1, len(unknowns))
+    points = _carried(cell, measurements)
+    return (_whitening(points, measurements, spreads) @ points.design(unknowns)).reshape(-1, len(unknowns))
 
 
 def posterior_covariance(
@@ -111,34 +109,34 @@ def gauss_newton(
     """
     units, widths = unit_sizes(measurements, unknowns), prior_widths(unknowns, spreads)
 
-    def weighted(at: ScannerOnArm) -> tuple[Floats, Floats, float]:
-        whitening = np.linalg.inv(np.linalg.cholesky(noise_covariances(at, measurements, spreads)))
-        whitened = np.einsum("mij,mj->mi", whitening, residuals_of(at, measurements))
+    def weighted(at: CarriedPoints) -> tuple[Floats, Floats, float]:
+        whitening = _whitening(at, measurements, spreads)
+        whitened = np.einsum("mij,mj->mi", whitening, measurements.tracker_mm - at.tracker_mm)
         if robust:
             length = np.linalg.norm(whitened, axis=1)
             ratio = length / (2.4 * max(np.median(length) / 1.54, 1e-300))
             weight, cost = 1 / np.sqrt(1 + ratio**2), np.log1p(ratio**2).sum()
         else:
             weight, cost = np.ones(len(whitened)), (whitened**2).sum()
-        pull = deviations(at, nominal, unknowns) / widths
-        return whitening * weight[:, None, None], pull, float(cost + (0 if robust else pull @ pull))
+        pull = deviations(at.cell, nominal, unknowns) / widths
+        goal = np.concatenate([(whitened * weight[:, None]).ravel(), -pull])
+        return whitening * weight[:, None, None], goal, float(cost + (0 if robust else pull @ pull))
 
-    whitening, pull, cost = weighted(cell)
+    points = _carried(cell, measurements)
+    whitening, goal, cost = weighted(points)
     for step_number in range(1, iterations + 1):
-        design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns)
-        rows = np.vstack([(whitening @ design).reshape(-1, len(unknowns)), np.diag(1 / widths)]) * units
-        goal = np.concatenate([np.einsum("mij,mj->mi", whitening, residuals_of(cell, measurements)).ravel(), -pull])
-        step = np.linalg.lstsq(rows, goal, rcond=1e-12)[0]
+        design = (whitening @ points.design(unknowns)).reshape(-1, len(unknowns))
+        step = np.linalg.lstsq(np.vstack([design, np.diag(1 / widths)]) * units, goal, rcond=1e-12)[0]
         for _ in range(12):
-            trial = moved_cell(cell, unknowns, step * units)
-            whitening, pull, trial_cost = weighted(trial)
+            trial = points.moved(unknowns, step * units)
+            whitening, goal, trial_cost = weighted(trial)
             if robust or trial_cost <= cost * (1 + 1e-9) or np.abs(step).max() < 1e-7:
                 break
             step = step / 2
-        cell, cost = trial, trial_cost
+        points, cost = trial, trial_cost
         if np.abs(step).max() < 1e-10:
-            return cell, step_number, True
-    return cell, iterations, bool(np.abs(step).max() < 1e-6)
+            return points.cell, step_number, True
+    return points.cell, iterations, bool(np.abs(step).max() < 1e-6)
 
 
 def estimate_spreads(
@@ -157,10 +155,11 @@ def estimate_spreads(
     square root of the ratio of the squares it explains to the squares it expects. No step can lower the likelihood.
     """
     units = unit_sizes(measurements, unknowns)
-    design = design_matrix(cell, measurements.q_rad, measurements.scanner_mm, unknowns) * units
-    slopes = joint_slopes(cell, measurements.q_rad, measurements.scanner_mm)
-    observed = residuals_of(cell, measurements) + design @ (deviations(cell, nominal, unknowns) / units)
-    known = _known_covariances(cell, measurements)
+    points = _carried(cell, measurements)
+    design, slopes = points.design(unknowns) * units, points.slopes()
+    residuals = measurements.tracker_mm - points.tracker_mm
+    observed = residuals + design @ (deviations(cell, nominal, unknowns) / units)
+    known = _known_covariances(points, measurements)
     groups = [unknowns.in_table & ~unknowns.is_angle, unknowns.in_table & unknowns.is_angle]
     fixed = [fixed_length_mm, fixed_angle_rad]
     spreads = start
@@ -202,13 +201,29 @@ def _overlap(covariance: Floats, columns: Floats) -> float:
     return float(np.sum((columns @ covariance) * columns))
 
 
+def _carried(cell: ScannerOnArm, measurements: Measurements) -> CarriedPoints:
+    return carry(cell, measurements.q_rad, measurements.scanner_mm)
+
+
+def _whitening(points: CarriedPoints, measurements: Measurements, spreads: Spreads) -> Floats:
+    """Matrices (M, 3, 3) that scale a residual to unit noise."""
+    return np.linalg.inv(np.linalg.cholesky(_noise_covariances(points, measurements, spreads)))
+
+
+def _noise_covariances(points: CarriedPoints, measurements: Measurements, spreads: Spreads) -> Floats:
+    known = _known_covariances(points, measurements)
+    if spreads.joint_rad == 0:
+        return known + spreads.rest_mm**2 * np.eye(3)
+    return known + _noise(points.slopes(), spreads)
+
+
 def _noise(slopes: Floats, spreads: Spreads) -> Floats:
     return spreads.joint_rad**2 * slopes @ np.swapaxes(slopes, -1, -2) + spreads.rest_mm**2 * np.eye(3)
 
 
-def _known_covariances(cell: ScannerOnArm, measurements: Measurements) -> Floats:
+def _known_covariances(points: CarriedPoints, measurements: Measurements) -> Floats:
     known = np.broadcast_to(measurements.tracker_std_mm**2 * np.eye(3), (len(measurements), 3, 3))
     if measurements.scanner_covariance_mm2 is None:
         return known
-    turn = (cell.T_tracker_base @ forward(cell.arm, measurements.q_rad) @ cell.T_joint_scanner)[:, :3, :3]
+    turn = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]
     return known + turn @ measurements.scanner_covariance_mm2 @ np.swapaxes(turn, 1, 2)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.arm import PARAMETERS, MdhArm, forward, joint_twists, moved_by_twist, parameter_twists
+from grindvision.arm import PARAMETERS, MdhArm, joint_transforms, joint_twists, moved_by_twist, parameter_twists
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, skew, small_motion
 
@@ -27,13 +27,11 @@ class ScannerOnArm:
 
     def points_base(self, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
         """Points (..., 3) of the scanner's frame, seen at joint angles (..., n), in the arm's base frame (Eq 9)."""
-        T_base_joint = forward(self.arm, q_rad)
-        points_joint = move_points(self.T_joint_scanner, points_scanner)
-        return np.einsum("...ij,...j->...i", T_base_joint[..., :3, :3], points_joint) + T_base_joint[..., :3, 3]
+        return carry(self, q_rad, points_scanner).base_mm
 
     def points_tracker(self, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
         """Points (..., 3) of the scanner's frame, seen at joint angles (..., n), in the tracker's frame."""
-        return move_points(self.T_tracker_base, self.points_base(q_rad, points_scanner))
+        return carry(self, q_rad, points_scanner).tracker_mm
 
     def __str__(self) -> str:
         x, y, z = self.T_joint_scanner[:3, 3]
@@ -100,24 +98,70 @@ def table_entries(arm: MdhArm, names: Sequence[str] | None = None) -> tuple[int,
     return tuple(sorted({known[name] for name in names}))
 
 
+@dataclass(frozen=True)
+class CarriedPoints:
+    """M points of the scanner's frame carried through a cell: what residuals and slopes have in common.
+
+    ``frames`` (M, n + 1, 4, 4) are the ``joint_transforms`` at joint angles ``q_rad`` (M, n); ``joint_mm`` and
+    ``base_mm`` (M, 3) the points in the last joint's and in the base frame.
+    """
+
+    cell: ScannerOnArm
+    q_rad: Floats
+    scanner_mm: Floats
+    frames: Floats
+    joint_mm: Floats
+    base_mm: Floats
+
+    @property
+    def tracker_mm(self) -> Floats:
+        """The points (M, 3) in the tracker's frame."""
+        return move_points(self.cell.T_tracker_base, self.base_mm)
+
+    def moved(self, unknowns: Unknowns, step: ArrayLike) -> CarriedPoints:
+        """Return the same points carried through the cell with a step (K,) of its unknowns carried out."""
+        cell = moved_cell(self.cell, unknowns, step)
+        return carry(cell, self.q_rad, self.scanner_mm, None if unknowns.table else self.frames)
+
+    def design(self, unknowns: Unknowns) -> Floats:
+        """How each unknown moves each point in the tracker's frame, (M, 3, K), see ``design_matrix``."""
+        scanner = self.frames[..., -1, :3, :3] @ _motion_columns(self.joint_mm)[..., : unknowns.scanner]
+        twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
+        base = _motion_columns(self.base_mm)[..., : unknowns.base]
+        columns = np.concatenate([scanner, moved_by_twist(twists, self.base_mm), base], axis=-1)
+        return self.cell.T_tracker_base[:3, :3] @ columns
+
+    def slopes(self) -> Floats:
+        """How each joint angle moves each point in the tracker's frame, (M, 3, n) in mm per rad."""
+        twists = joint_twists(self.cell.arm, self.q_rad, self.frames)
+        return self.cell.T_tracker_base[:3, :3] @ moved_by_twist(twists, self.base_mm)
+
+
+def carry(
+    cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike, frames: Floats | None = None
+) -> CarriedPoints:
+    """Carry points (M, 3) of the scanner's frame, seen at joint angles (M, n), through the cell.
+
+    ``frames`` are the ``joint_transforms`` there, where they are known already.
+    """
+    q, points = np.asarray(q_rad, dtype=float), np.asarray(points_scanner, dtype=float)
+    frames = joint_transforms(cell.arm, q) if frames is None else frames
+    joint = move_points(cell.T_joint_scanner, points)
+    base = np.einsum("...ij,...j->...i", frames[..., -1, :3, :3], joint) + frames[..., -1, :3, 3]
+    return CarriedPoints(cell, q, points, frames, joint, base)
+
+
 def design_matrix(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike, unknowns: Unknowns) -> Floats:
     """How each unknown moves each measured point in the tracker's frame, (M, 3, K): G_i of Eqs 10-16, in closed form.
 
     Columns in mm per mm and mm per rad. The scanner moves in the last joint's frame (Eq 10), the base in its own frame.
     """
-    T_base_joint = forward(cell.arm, q_rad)
-    points_joint = move_points(cell.T_joint_scanner, points_scanner)
-    points_base = cell.points_base(q_rad, points_scanner)
-    scanner = T_base_joint[..., :3, :3] @ _motion_columns(points_joint)[..., : unknowns.scanner]
-    arm = moved_by_twist(parameter_twists(cell.arm, q_rad)[..., list(unknowns.table)], points_base)
-    base = _motion_columns(points_base)[..., : unknowns.base]
-    return cell.T_tracker_base[:3, :3] @ np.concatenate([scanner, arm, base], axis=-1)
+    return carry(cell, q_rad, points_scanner).design(unknowns)
 
 
 def joint_slopes(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
     """How each joint angle moves each measured point in the tracker's frame, (M, 3, n) in mm per rad."""
-    points_base = cell.points_base(q_rad, points_scanner)
-    return cell.T_tracker_base[:3, :3] @ moved_by_twist(joint_twists(cell.arm, q_rad), points_base)
+    return carry(cell, q_rad, points_scanner).slopes()
 
 
 def moved_cell(cell: ScannerOnArm, unknowns: Unknowns, step: ArrayLike) -> ScannerOnArm:

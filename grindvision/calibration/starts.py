@@ -10,7 +10,7 @@ from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
 from grindvision.errors import DegenerateError
-from grindvision.geometry import fit_rigid, inverse, nearest_rotation, random_rotation, rigid
+from grindvision.geometry import fit_rigid, inverse, move_points, nearest_rotation, random_rotation, rigid
 
 Floats = NDArray[np.float64]
 
@@ -46,8 +46,11 @@ def fixed_base_start(measurements: Measurements, arm: MdhArm, rng: np.random.Gen
             continue
     if not places:
         raise DegenerateError("the spheres lie on one line in the scanner's or the joint's frame; spread them")
-    cells = [ScannerOnArm(arm, place, np.eye(4)) for place in places]
-    return min(cells, key=lambda cell: median_error(cell, measurements))
+    best = min(
+        places,
+        key=lambda place: np.median(np.linalg.norm(points - move_points(place, measurements.scanner_mm), axis=1)),
+    )
+    return ScannerOnArm(arm, best, np.eye(4))
 
 
 def free_base_starts(measurements: Measurements, arm: MdhArm, rng: np.random.Generator) -> list[ScannerOnArm]:
