@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm.mdh import PARAMETERS, MdhArm, joint_transforms
+from grindvision.geometry import skew
 
 Floats = NDArray[np.float64]
 
@@ -50,8 +51,7 @@ def parameter_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None
 def moved_by_twist(twists: ArrayLike, points_base: ArrayLike) -> Floats:
     """Velocities (..., 3, K) that twists (..., 6, K) give to points (..., 3) of the last link, in the base frame."""
     twists = np.asarray(twists, dtype=float)
-    points = np.asarray(points_base, dtype=float)
-    return twists[..., :3, :] + np.cross(twists[..., 3:, :], points[..., :, None], axis=-2)
+    return twists[..., :3, :] - skew(points_base) @ twists[..., 3:, :]
 
 
 def _turn_about(axes: Floats, origins: Floats) -> Floats:

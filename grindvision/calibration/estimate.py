@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from grindvision.arm import MdhArm
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints, ScannerOnArm, Unknowns, carry
+from grindvision.calibration.statistics import whitening
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +74,8 @@ def prior_widths(unknowns: Unknowns, spreads: Spreads) -> Floats:
 def whitened_design(cell: ScannerOnArm, unknowns: Unknowns, measurements: Measurements, spreads: Spreads) -> Floats:
     """Design matrix (3 M, K) whose rows are scaled to unit noise."""
     points = _carried(cell, measurements)
-    return (_whitening(points, measurements, spreads) @ points.design(unknowns)).reshape(-1, len(unknowns))
+    noise = _noise_covariances(points, measurements, spreads)
+    return (whitening(noise) @ points.design(unknowns)).reshape(-1, len(unknowns))
 
 
 def posterior_covariance(
@@ -110,8 +112,8 @@ def gauss_newton(
     units, widths = unit_sizes(measurements, unknowns), prior_widths(unknowns, spreads)
 
     def weighted(at: CarriedPoints) -> tuple[Floats, Floats, float]:
-        whitening = _whitening(at, measurements, spreads)
-        whitened = np.einsum("mij,mj->mi", whitening, measurements.tracker_mm - at.tracker_mm)
+        to_unit = whitening(_noise_covariances(at, measurements, spreads))
+        whitened = np.einsum("mij,mj->mi", to_unit, measurements.tracker_mm - at.tracker_mm)
         if robust:
             length = np.linalg.norm(whitened, axis=1)
             ratio = length / (2.4 * max(np.median(length) / 1.54, 1e-300))
@@ -120,16 +122,16 @@ def gauss_newton(
             weight, cost = np.ones(len(whitened)), (whitened**2).sum()
         pull = deviations(at.cell, nominal, unknowns) / widths
         goal = np.concatenate([(whitened * weight[:, None]).ravel(), -pull])
-        return whitening * weight[:, None, None], goal, float(cost + (0 if robust else pull @ pull))
+        return to_unit * weight[:, None, None], goal, float(cost + (0 if robust else pull @ pull))
 
     points = _carried(cell, measurements)
-    whitening, goal, cost = weighted(points)
+    to_unit, goal, cost = weighted(points)
     for step_number in range(1, iterations + 1):
-        design = (whitening @ points.design(unknowns)).reshape(-1, len(unknowns))
+        design = (to_unit @ points.design(unknowns)).reshape(-1, len(unknowns))
         step = np.linalg.lstsq(np.vstack([design, np.diag(1 / widths)]) * units, goal, rcond=1e-12)[0]
         for _ in range(12):
             trial = points.moved(unknowns, step * units)
-            whitening, goal, trial_cost = weighted(trial)
+            to_unit, goal, trial_cost = weighted(trial)
             if robust or trial_cost <= cost * (1 + 1e-9) or np.abs(step).max() < 1e-7:
                 break
             step = step / 2
@@ -164,21 +166,19 @@ def estimate_spreads(
     fixed = [fixed_length_mm, fixed_angle_rad]
     spreads = start
     for _ in range(iterations):
-        weights = np.linalg.inv(known + _noise(slopes, spreads))
-        weighted_design = weights @ design
-        flat = design.reshape(-1, len(unknowns))
-        normal = flat.T @ weighted_design.reshape(flat.shape)
+        to_unit = whitening(known + _noise(slopes, spreads))
+        white_design, white_slopes = to_unit @ design, to_unit @ slopes
+        flat, goal = white_design.reshape(-1, len(unknowns)), np.einsum("mij,mj->mi", to_unit, observed)
+        normal = flat.T @ flat
         inverse_width = units / prior_widths(unknowns, spreads)
         covariance = np.linalg.pinv(normal + np.diag(inverse_width**2), rcond=1e-14, hermitian=True)
-        solution = covariance @ np.einsum("mik,mi->k", weighted_design, observed)
-        forces = np.einsum("mij,mj->mi", weights, observed - design @ solution)
-        turned = (np.swapaxes(slopes, 1, 2) @ weighted_design).reshape(-1, len(unknowns))
-        explained = [(forces**2).sum(), (np.einsum("min,mi->mn", slopes, forces) ** 2).sum()]
-        expected = [
-            np.trace(weights, axis1=1, axis2=2).sum() - _overlap(covariance, weighted_design.reshape(flat.shape)),
-            np.einsum("min,mij,mjn->", slopes, weights, slopes) - _overlap(covariance, turned),
-        ]
-        pulls = np.einsum("mik,mi->k", design, forces) / units
+        left = goal - (flat @ (covariance @ (goal.ravel() @ flat))).reshape(goal.shape)
+        explained, expected = [], []
+        for white in (to_unit, white_slopes):
+            explained.append((np.einsum("mij,mi->mj", white, left) ** 2).sum())
+            seen = (np.swapaxes(white, 1, 2) @ white_design).reshape(-1, len(unknowns))
+            expected.append((white**2).sum() - np.sum(covariance * (seen.T @ seen)))
+        pulls = left.ravel() @ flat / units
         for group in groups:
             block = normal[:, group] / units[group]
             explained.append((pulls[group] ** 2).sum())
@@ -197,17 +197,8 @@ def estimate_spreads(
     return spreads
 
 
-def _overlap(covariance: Floats, columns: Floats) -> float:
-    return float(np.sum((columns @ covariance) * columns))
-
-
 def _carried(cell: ScannerOnArm, measurements: Measurements) -> CarriedPoints:
     return carry(cell, measurements.q_rad, measurements.scanner_mm)
-
-
-def _whitening(points: CarriedPoints, measurements: Measurements, spreads: Spreads) -> Floats:
-    """Matrices (M, 3, 3) that scale a residual to unit noise."""
-    return np.linalg.inv(np.linalg.cholesky(_noise_covariances(points, measurements, spreads)))
 
 
 def _noise_covariances(points: CarriedPoints, measurements: Measurements, spreads: Spreads) -> Floats:

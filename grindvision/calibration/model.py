@@ -126,10 +126,12 @@ class CarriedPoints:
     def design(self, unknowns: Unknowns) -> Floats:
         """How each unknown moves each point in the tracker's frame, (M, 3, K), see ``design_matrix``."""
         scanner = self.frames[..., -1, :3, :3] @ _motion_columns(self.joint_mm)[..., : unknowns.scanner]
-        twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
         base = _motion_columns(self.base_mm)[..., : unknowns.base]
-        columns = np.concatenate([scanner, moved_by_twist(twists, self.base_mm), base], axis=-1)
-        return self.cell.T_tracker_base[:3, :3] @ columns
+        columns = [scanner, base]
+        if unknowns.table:
+            twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
+            columns.insert(1, moved_by_twist(twists, self.base_mm))
+        return self.cell.T_tracker_base[:3, :3] @ np.concatenate(columns, axis=-1)
 
     def slopes(self) -> Floats:
         """How each joint angle moves each point in the tracker's frame, (M, 3, n) in mm per rad."""

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from grindvision.calibration.statistics import whitening
+
 #: Chance that a good row is dropped, per row.
 FALSE_ALARM = 1e-5
 
@@ -16,8 +18,7 @@ def consistent_rows(residuals_mm: ArrayLike, covariances_mm2: ArrayLike) -> NDAr
     The scale comes from the median squared Mahalanobis distance, so up to half of the rows may be wrong.
     """
     residuals = np.asarray(residuals_mm, dtype=float)
-    whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(covariances_mm2, dtype=float)))
-    squared = (np.einsum("mij,mj->mi", whitening, residuals) ** 2).sum(axis=1)
+    squared = (np.einsum("mij,mj->mi", whitening(covariances_mm2), residuals) ** 2).sum(axis=1)
     scale = max(float(np.median(squared)) / chi2.median(3), 1e-300)
     size = np.linalg.norm(residuals, axis=1)
     return (squared <= scale * chi2.isf(FALSE_ALARM, 3)) | (size < 1e-6)

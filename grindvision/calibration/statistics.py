@@ -1,11 +1,11 @@
-"""Statistics of residuals: how far measured and predicted points lie apart."""
+"""Statistics of residuals: how far measured and predicted points lie apart, and in which unit of noise."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True)
@@ -32,3 +32,15 @@ def error_statistics(residuals_mm: ArrayLike) -> ErrorStatistics:
     lengths = np.linalg.norm(residuals, axis=1)
     rms = np.sqrt((lengths**2).mean())
     return ErrorStatistics(*(float(v) for v in (lengths.mean(), rms, lengths.max(), lengths.std())), len(lengths))
+
+
+def whitening(covariances_mm2: ArrayLike) -> NDArray[np.float64]:
+    """Lower triangular matrices (..., 3, 3) that scale residuals of these covariances (..., 3, 3) to unit noise."""
+    lower = np.linalg.cholesky(np.asarray(covariances_mm2, dtype=float))
+    first, second, third = (1 / lower[..., i, i] for i in range(3))
+    matrices = np.zeros_like(lower)
+    matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 2, 2] = first, second, third
+    matrices[..., 1, 0] = -lower[..., 1, 0] * first * second
+    matrices[..., 2, 1] = -lower[..., 2, 1] * second * third
+    matrices[..., 2, 0] = (lower[..., 1, 0] * lower[..., 2, 1] * second - lower[..., 2, 0]) * first * third
+    return matrices
