@@ -57,7 +57,8 @@ def unit_sizes(measurements: Measurements, unknowns: Unknowns) -> Floats:
 
 def noise_covariances(cell: ScannerOnArm, measurements: Measurements, spreads: Spreads) -> Floats:
     """Covariance (M, 3, 3) of each residual in the tracker's frame: sphere fit, tracker, joints and the rest."""
-    return _noise_covariances(_carried(cell, measurements), measurements, spreads)
+    noise = _noise_covariances(_carried(cell, measurements), measurements, spreads)
+    return np.broadcast_to(noise, (len(measurements), 3, 3))
 
 
 def residuals_of(cell: ScannerOnArm, measurements: Measurements) -> Floats:
@@ -111,7 +112,7 @@ def gauss_newton(
     """
     units, widths = unit_sizes(measurements, unknowns), prior_widths(unknowns, spreads)
 
-    def weighted(at: CarriedPoints) -> tuple[Floats, Floats, float]:
+    def weighted(at: CarriedPoints) -> tuple[Floats, Floats, Floats, float]:
         to_unit = whitening(_noise_covariances(at, measurements, spreads))
         whitened = np.einsum("mij,mj->mi", to_unit, measurements.tracker_mm - at.tracker_mm)
         if robust:
@@ -121,17 +122,18 @@ def gauss_newton(
         else:
             weight, cost = np.ones(len(whitened)), (whitened**2).sum()
         pull = deviations(at.cell, nominal, unknowns) / widths
-        goal = np.concatenate([(whitened * weight[:, None]).ravel(), -pull])
-        return to_unit * weight[:, None, None], goal, float(cost + (0 if robust else pull @ pull))
+        cost = float(cost + (0 if robust else pull @ pull))
+        return to_unit * weight[:, None, None], whitened * weight[:, None], pull, cost
 
     points = _carried(cell, measurements)
-    to_unit, goal, cost = weighted(points)
+    to_unit, goal, pull, cost = weighted(points)
     for step_number in range(1, iterations + 1):
-        design = (to_unit @ points.design(unknowns)).reshape(-1, len(unknowns))
-        step = np.linalg.lstsq(np.vstack([design, np.diag(1 / widths)]) * units, goal, rcond=1e-12)[0]
+        triangle = _triangle(points, unknowns, to_unit, goal, units)
+        rows = np.vstack([triangle[:, :-1], np.diag(units / widths)])
+        step = np.linalg.lstsq(rows, np.concatenate([triangle[:, -1], -pull]), rcond=1e-12)[0]
         for _ in range(12):
             trial = points.moved(unknowns, step * units)
-            to_unit, goal, trial_cost = weighted(trial)
+            to_unit, goal, pull, trial_cost = weighted(trial)
             if robust or trial_cost <= cost * (1 + 1e-9) or np.abs(step).max() < 1e-7:
                 break
             step = step / 2
@@ -163,26 +165,31 @@ def estimate_spreads(
     observed = residuals + design @ (deviations(cell, nominal, unknowns) / units)
     known = _known_covariances(points, measurements)
     groups = [unknowns.in_table & ~unknowns.is_angle, unknowns.in_table & unknowns.is_angle]
+    size = len(unknowns)
     fixed = [fixed_length_mm, fixed_angle_rad]
     spreads = start
     for _ in range(iterations):
         to_unit = whitening(known + _noise(slopes, spreads))
-        white_design, white_slopes = to_unit @ design, to_unit @ slopes
-        flat, goal = white_design.reshape(-1, len(unknowns)), np.einsum("mij,mj->mi", to_unit, observed)
-        normal = flat.T @ flat
-        inverse_width = units / prior_widths(unknowns, spreads)
-        covariance = np.linalg.pinv(normal + np.diag(inverse_width**2), rcond=1e-14, hermitian=True)
-        left = goal - (flat @ (covariance @ (goal.ravel() @ flat))).reshape(goal.shape)
-        explained, expected = [], []
-        for white in (to_unit, white_slopes):
-            explained.append((np.einsum("mij,mi->mj", white, left) ** 2).sum())
-            seen = (np.swapaxes(white, 1, 2) @ white_design).reshape(-1, len(unknowns))
-            expected.append((white**2).sum() - np.sum(covariance * (seen.T @ seen)))
-        pulls = left.ravel() @ flat / units
+        noises = (to_unit, to_unit @ slopes)
+        normal, right, seen = np.zeros((size, size)), np.zeros(size), np.zeros((2, size, size))
+        for rows, _ in points.blocks():
+            white = to_unit[rows] @ design[rows]
+            flat = white.reshape(-1, size)
+            normal += flat.T @ flat
+            right += np.einsum("mij,mj->mi", to_unit[rows], observed[rows]).ravel() @ flat
+            for number, noise in enumerate(noises):
+                flat = (np.swapaxes(noise[rows], 1, 2) @ white).reshape(-1, size)
+                seen[number] += flat.T @ flat
+        widths = prior_widths(unknowns, spreads)
+        covariance = np.linalg.pinv(normal + np.diag((units / widths) ** 2), rcond=1e-14, hermitian=True)
+        solution = covariance @ right
+        left = np.einsum("mij,mj->mi", to_unit, observed - design @ solution)
+        explained = [(np.einsum("mij,mi->mj", noise, left) ** 2).sum() for noise in noises]
+        expected = [(noise**2).sum() - np.sum(covariance * part) for noise, part in zip(noises, seen, strict=True)]
+        pulls, variances = solution * units / widths**2, np.diag(covariance) * units**2
         for group in groups:
-            block = normal[:, group] / units[group]
             explained.append((pulls[group] ** 2).sum())
-            expected.append((np.diag(normal)[group] / units[group] ** 2).sum() - np.sum(block * (covariance @ block)))
+            expected.append(((1 - variances[group] / widths[group] ** 2) / widths[group] ** 2).sum())
         factors = np.sqrt(np.sqrt(np.maximum(explained, 1e-60) / np.maximum(expected, 1e-60)))
         old = np.array([spreads.rest_mm, spreads.joint_rad, spreads.length_mm, spreads.angle_rad])
         new = old * np.clip(factors, 1e-3, 1e3)
@@ -197,11 +204,22 @@ def estimate_spreads(
     return spreads
 
 
+def _triangle(points: CarriedPoints, unknowns: Unknowns, to_unit: Floats, goal: Floats, units: Floats) -> Floats:
+    """Triangle of the QR decomposition of whitened slopes (3 M, K), in ``units``, and their goal (M, 3) behind them."""
+    triangle = np.empty((0, len(unknowns) + 1))
+    for rows, part in points.blocks():
+        design = (to_unit[rows] @ part.design(unknowns)).reshape(-1, len(unknowns)) * units
+        block = np.column_stack([design, goal[rows].ravel()])
+        triangle = np.linalg.qr(np.vstack([triangle, block]), mode="r")
+    return triangle
+
+
 def _carried(cell: ScannerOnArm, measurements: Measurements) -> CarriedPoints:
     return carry(cell, measurements.q_rad, measurements.scanner_mm)
 
 
 def _noise_covariances(points: CarriedPoints, measurements: Measurements, spreads: Spreads) -> Floats:
+    """Covariance (M, 3, 3) of each residual, or the one (1, 3, 3) that all have in common."""
     known = _known_covariances(points, measurements)
     if spreads.joint_rad == 0:
         return known + spreads.rest_mm**2 * np.eye(3)
@@ -213,7 +231,7 @@ def _noise(slopes: Floats, spreads: Spreads) -> Floats:
 
 
 def _known_covariances(points: CarriedPoints, measurements: Measurements) -> Floats:
-    known = np.broadcast_to(measurements.tracker_std_mm**2 * np.eye(3), (len(measurements), 3, 3))
+    known = measurements.tracker_std_mm**2 * np.eye(3)[None]
     if measurements.scanner_covariance_mm2 is None:
         return known
     turn = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]

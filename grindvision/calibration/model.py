@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,9 @@ from grindvision.errors import InputError
 from grindvision.geometry import move_points, skew, small_motion
 
 Floats = NDArray[np.float64]
+
+#: Points whose slopes are worked on at a time: few enough for the processor's cache.
+BLOCK = 512
 
 _MOTION = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 
@@ -123,14 +126,25 @@ class CarriedPoints:
         cell = moved_cell(self.cell, unknowns, step)
         return carry(cell, self.q_rad, self.scanner_mm, None if unknowns.table else self.frames)
 
+    def blocks(self) -> Iterator[tuple[slice, CarriedPoints]]:
+        """Parts of at most ``BLOCK`` points, with the rows they are."""
+        for first in range(0, len(self.base_mm), BLOCK):
+            rows = slice(first, first + BLOCK)
+            parts = {
+                name: getattr(self, name)[rows] for name in ("q_rad", "scanner_mm", "frames", "joint_mm", "base_mm")
+            }
+            yield rows, CarriedPoints(self.cell, **parts)
+
     def design(self, unknowns: Unknowns) -> Floats:
         """How each unknown moves each point in the tracker's frame, (M, 3, K), see ``design_matrix``."""
-        scanner = self.frames[..., -1, :3, :3] @ _motion_columns(self.joint_mm)[..., : unknowns.scanner]
-        base = _motion_columns(self.base_mm)[..., : unknowns.base]
-        columns = [scanner, base]
+        columns = []
+        if unknowns.scanner:
+            columns.append(self.frames[..., -1, :3, :3] @ _motion_columns(self.joint_mm)[..., : unknowns.scanner])
         if unknowns.table:
             twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
-            columns.insert(1, moved_by_twist(twists, self.base_mm))
+            columns.append(moved_by_twist(twists, self.base_mm))
+        if unknowns.base:
+            columns.append(_motion_columns(self.base_mm))
         return self.cell.T_tracker_base[:3, :3] @ np.concatenate(columns, axis=-1)
 
     def slopes(self) -> Floats:
