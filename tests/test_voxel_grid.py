@@ -16,6 +16,15 @@ def plain_voxel_grid(points, size, origin):
     return {cell: np.mean(members, axis=0) for cell, members in cells.items()}
 
 
+def sorted_voxel_grid(points, size, origin):
+    """Oracle without a loop: cells, counts, the voxel of every point and the centroids, by sorting cell numbers."""
+    cells, voxels, counts = np.unique(
+        np.floor((points - origin) / size).astype(int), axis=0, return_inverse=True, return_counts=True
+    )
+    sums = [np.bincount(voxels, column, len(cells)) for column in (points - points[0]).T]
+    return cells, counts, voxels, points[0] + np.column_stack(sums) / counts[:, None]
+
+
 @pytest.fixture
 def cloud(rng):
     return rng.normal([100, -200, 400], 30, (3000, 3))
@@ -27,6 +36,18 @@ def test_equals_the_plain_definition(cloud):
     plain = plain_voxel_grid(cloud, 7.0, origin)
     assert [tuple(c) for c in grid.cells] == sorted(plain)
     np.testing.assert_allclose(grid.centroids, [plain[tuple(c)] for c in grid.cells], atol=1e-10)
+
+
+@pytest.mark.parametrize("decimals", [1, 12])
+def test_equals_the_sorted_twin_with_many_voxels_and_points_on_their_borders(rng, decimals):
+    cloud = np.round(rng.uniform(-40, 60, (150_000, 3)), decimals)
+    cloud = cloud[np.argsort(cloud[:, 0])]
+    grid = voxel_grid(cloud, 1.3, (0.1, 0.0, -0.2))
+    twin = sorted_voxel_grid(cloud, 1.3, (0.1, 0.0, -0.2))
+    assert len(grid) > 100_000
+    for ours, plain in zip((grid.cells, grid.counts, grid.voxel_of_point), twin, strict=False):
+        np.testing.assert_array_equal(ours, plain)
+    np.testing.assert_allclose(grid.centroids, twin[3], atol=1e-10)
 
 
 def test_equals_open3d_on_its_lattice(cloud):
