@@ -20,6 +20,8 @@ from grindvision.calibration import (
     table_entries,
     unit_sizes,
 )
+from grindvision.calibration.model import carry
+from grindvision.calibration.statistics import whitening
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import fit_sphere
 from tests.calibration_rig import er3a, rig, ur5
@@ -150,6 +152,26 @@ def test_choice_refuses_too_few_poses(rng):
         choose_poses(blocks, 3, rng)
     with pytest.raises(InputError, match="31 poses asked for out of 30"):
         choose_poses(blocks, 31, rng)
+
+
+def test_whitening_scales_covariances_to_one(rng):
+    factors = rng.normal(size=(50, 3, 3))
+    covariances = factors @ np.swapaxes(factors, 1, 2) + 0.01 * np.eye(3)
+    matrices = whitening(covariances)
+    np.testing.assert_allclose(
+        matrices @ covariances @ np.swapaxes(matrices, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-9
+    )
+    np.testing.assert_allclose(matrices, np.linalg.inv(np.linalg.cholesky(covariances)), rtol=1e-9, atol=1e-12)
+
+
+def test_slopes_in_blocks_are_the_slopes(rng):
+    made = rig(er3a(), rng)
+    points = carry(made.cell, made.measurements.q_rad, made.measurements.scanner_mm)
+    many = carry(made.cell, *(np.tile(part, (20, 1)) for part in (points.q_rad, points.scanner_mm)))
+    unknowns = Unknowns(6, table_entries(er3a()), 6)
+    assert len(list(many.blocks())) > 1
+    blocks = np.concatenate([part.design(unknowns) for _, part in many.blocks()])
+    np.testing.assert_array_equal(blocks, many.design(unknowns))
 
 
 def test_consistent_rows_bear_almost_half_of_wrong_ones(rng):
