@@ -139,9 +139,12 @@ def cell_key(i, j, k):
 
 @njit(cache=True, nogil=True)
 def find_slot(table_keys, key):
-    """Slot of ``key`` in the open-addressed table, or the free slot where it belongs."""
+    """Slot of ``key`` in the open-addressed table, or the free slot where it belongs.
+
+    Eight cells in a row along z begin their search in one line of the processor's cache.
+    """
     mask = table_keys.size - 1
-    slot = ((key * _MIX) >> 33) & mask
+    slot = ((((key >> 3) * _MIX) >> 30) & ~7 | (key & 7)) & mask
     while table_keys[slot] != _EMPTY and table_keys[slot] != key:
         slot = (slot + 1) & mask
     return slot
@@ -180,22 +183,26 @@ def assign_cells(points, origin, per_mm):
 def _enter(points, first, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point):
     """Number the cells of points from ``first`` on, while there is room for keys: where it stopped, and how many.
 
-    Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round.
+    Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round. Neighbours
+    in a scan's row share a cell: the table is asked when it changes.
     """
+    last, cell = _EMPTY, 0
     for p in range(first, len(points)):
         i = int((points[p, 0] - origin[0]) * per_mm)
         j = int((points[p, 1] - origin[1]) * per_mm)
         k = int((points[p, 2] - origin[2]) * per_mm)
         key = cell_key(i, j, k)
-        slot = find_slot(table_keys, key)
-        if table_keys[slot] == _EMPTY:
-            if count == len(keys):
-                return p, count
-            keys[count] = key
-            table_keys[slot] = key
-            table_cells[slot] = count
-            count += 1
-        cell_of_point[p] = table_cells[slot]
+        if key != last:
+            slot = find_slot(table_keys, key)
+            if table_keys[slot] == _EMPTY:
+                if count == len(keys):
+                    return p, count
+                keys[count] = key
+                table_keys[slot] = key
+                table_cells[slot] = count
+                count += 1
+            last, cell = key, table_cells[slot]
+        cell_of_point[p] = cell
     return len(points), count
 
 
