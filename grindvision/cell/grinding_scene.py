@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class GrindingScene:
 
     Truth: ``T_sample_test`` (4, 4) moves points of the test scan into the sample's scanner frame. ``ridge_mm`` and
     ``ridge_normals`` (K, 3) are the bead's ridge and the surface normals under it in the scanner frame of the test
-    scan. ``overlap`` is the share of the test scan's points, bead apart, that the sample scan saw as well.
+    scan.
     """
 
     part: GrindingPart
@@ -37,7 +38,15 @@ class GrindingScene:
     T_sample_test: Floats
     ridge_mm: Floats
     ridge_normals: Floats
-    overlap: float
+
+    @cached_property
+    def overlap(self) -> float:
+        """Share of the test scan's points, bead apart, that the sample scan saw as well; estimated from 5,000."""
+        T_part_sample, T_part_test = self.sample.T_world_scanner, self.test.T_world_scanner
+        seen = self.test.true_points[~self.on_bead][:: max(1, len(self.test) // 5000)]
+        there = cKDTree(move_points(T_part_sample, self.sample.true_points))
+        nearest, _ = there.query(move_points(T_part_test, seen), distance_upper_bound=SAME_SPOT_MM)
+        return float(np.isfinite(nearest).mean())
 
     @property
     def on_bead(self) -> NDArray[np.bool_]:
@@ -83,7 +92,7 @@ def grinding_scene(
     part = part or grinding_part(relief)
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
-    reach = scanner.columns / 2 / scanner.focal_px * scanner.reference_mm
+    reach = scanner.half_field_mm[0]
     aside = max(0.0, (2 * reach - (reach + LENGTH_MM / 2) * overlap) / (2 - overlap))
     sample_pose = _random_view(rng, -aside, 10.0, 10.0)
     for _ in range(10_000):
@@ -105,8 +114,6 @@ def scanned_pair(
     sample = scanner.scan(Target(part.sample), T_part_sample, rng, every)
     test = scanner.scan(Target(part.test), T_part_test, rng, every)
     T_test_part = inverse(T_part_test)
-    spots = move_points(T_part_test, test.true_points[~test.on(BEAD)][:: max(1, len(test) // 5000)])
-    nearest, _ = cKDTree(move_points(T_part_sample, sample.true_points)).query(spots, distance_upper_bound=SAME_SPOT_MM)
     return GrindingScene(
         part,
         sample,
@@ -114,7 +121,6 @@ def scanned_pair(
         inverse(T_part_sample) @ T_part_test,
         move_points(T_test_part, part.bead.ridge_mm),
         turn_vectors(T_test_part, part.bead.normals),
-        float(np.isfinite(nearest).mean()),
     )
 
 

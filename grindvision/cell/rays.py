@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from grindvision.cell.solids import Solid
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Singles = NDArray[np.float32]
 
 #: Rays towards the projector start this far off the surface, so that they do not meet their own triangle.
 LIFT_MM = 0.005
@@ -52,17 +54,47 @@ class Target:
         found = self._scene.cast_rays(o3d.core.Tensor(rays))
         rough = found["t_hit"].numpy()
         ray = np.flatnonzero(np.isfinite(rough))
-        rough = rough[ray].astype(float)
         triangle = found["primitive_ids"].numpy()[ray].astype(np.int64)
-        normals = self.normals[triangle]
-        slope = np.einsum("ij,ij->i", directions[ray], normals)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = np.einsum("ij,ij->i", self.corners[triangle] - origin, normals) / slope
-            distance = np.where(np.abs(distance - rough) < 1e-4 * rough, distance, rough)
+        distance = _distances(origin, directions, ray, rough, triangle, self.corners, self.normals)
         return Hits(ray, distance, triangle)
 
     def sees(self, points: Floats, normals: Floats, eye: Floats) -> Flags:
         """Whether the straight way from surface points (N, 3) to ``eye`` (3,) is free."""
-        starts = points + LIFT_MM * normals
-        rays = np.concatenate([starts - self.centre, eye - starts], axis=1).astype(np.float32)
-        return ~self._scene.test_occlusions(o3d.core.Tensor(rays), tfar=1.0).numpy()
+        ways = _ways(points, normals, eye, self.centre)
+        return ~self._scene.test_occlusions(o3d.core.Tensor(ways), tfar=1.0).numpy()
+
+
+@nb.njit(cache=True)
+def _distances(
+    origin: Floats,
+    directions: Floats,
+    ray: Integers,
+    rough: Singles,
+    triangle: Integers,
+    corners: Floats,
+    normals: Floats,
+) -> Floats:
+    """Distances (K,) along the rays to the planes of their triangles; the rough one where the two disagree."""
+    distances = np.empty(len(ray))
+    for i in range(len(ray)):
+        slope, height = 0.0, 0.0
+        for k in range(3):
+            normal = normals[triangle[i], k]
+            slope += directions[ray[i], k] * normal
+            height += (corners[triangle[i], k] - origin[k]) * normal
+        near = np.float64(rough[ray[i]])
+        distance = height / slope if slope != 0 else near
+        distances[i] = distance if abs(distance - near) < 1e-4 * near else near
+    return distances
+
+
+@nb.njit(cache=True)
+def _ways(points: Floats, normals: Floats, eye: Floats, centre: Floats) -> Singles:
+    """Rays (N, 6) about ``centre`` from just above surface points (N, 3) to the eye, one ray length away."""
+    ways = np.empty((len(points), 6), dtype=np.float32)
+    for i in range(len(points)):
+        for k in range(3):
+            start = points[i, k] + LIFT_MM * normals[i, k]
+            ways[i, k] = start - centre[k]
+            ways[i, 3 + k] = eye[k] - start
+    return ways

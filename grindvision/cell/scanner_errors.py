@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import InputError
-
-if TYPE_CHECKING:
-    from grindvision.cell.scanners import Scanner
 
 Floats = NDArray[np.float64]
 
@@ -84,26 +81,44 @@ SOURCES = tuple(
 )
 
 
-def distortion(points: Floats, scanner: Scanner, instrument: np.random.Generator) -> Floats:
+def distortion(
+    points: Floats, errors: ScannerErrors, half_field_mm: Floats, reference_mm: float, instrument: np.random.Generator
+) -> Floats:
     """Depth error (N,) mm of one instrument's smooth field distortion at points (N, 3) of its frame.
 
     The field is a sum of ``WAVES`` cosines of random direction, scaled so that its mean over the field of view at the
-    reference distance is zero and its rms there is ``distortion_mm``.
+    reference distance, ``half_field_mm`` (2,) to both sides, is zero and its rms there is ``distortion_mm``.
     """
-    errors = scanner.errors
     if not errors.distortion_mm:
         return np.zeros(len(points))
     waves = instrument.standard_normal((WAVES, 3)) / errors.distortion_length_mm
     phases = instrument.uniform(0, 2 * np.pi, WAVES)
+    x, y = np.meshgrid(np.linspace(-1, 1, 43) * half_field_mm[0], np.linspace(-1, 1, 31) * half_field_mm[1])
+    plane = sum_of_cosines(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, reference_mm)]), waves, phases)
+    unit = (sum_of_cosines(points, waves, phases) - plane.mean()) / plane.std()
+    return errors.distortion_mm * unit * (points[:, 2] / reference_mm) ** 2
 
-    def field(at: Floats) -> Floats:
-        total = np.zeros(len(at))
-        for wave, phase in zip(waves, phases, strict=True):
-            total += np.cos(at @ wave + phase)
-        return total
 
-    half = np.array([scanner.columns, scanner.rows]) / 2 / scanner.focal_px * scanner.reference_mm
-    x, y = np.meshgrid(np.linspace(-half[0], half[0], 43), np.linspace(-half[1], half[1], 31))
-    plane = field(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, scanner.reference_mm)]))
-    unit = (field(points) - plane.mean()) / plane.std()
-    return errors.distortion_mm * unit * (points[:, 2] / scanner.reference_mm) ** 2
+@nb.njit(cache=True, fastmath=True)
+def sum_of_cosines(points: Floats, waves: Floats, phases: Floats) -> Floats:
+    """Sum over the waves (K, 3) and phases (K,) of cos(wave . point + phase) at points (N, 3).
+
+    The phase is reduced to whole turns, and cos taken as the sine of a - within a quarter turn of zero - by its series
+    up to a^17, which is exact to 1e-13: the compiler makes vector code of this, and none of the library's cosine.
+    """
+    turn = 2 * np.pi
+    in_x, in_y, in_z, offsets = waves[:, 0] / turn, waves[:, 1] / turn, waves[:, 2] / turn, phases / turn
+    sums = np.empty(len(points))
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        total = 0.0
+        for k in range(len(offsets)):
+            turns = x * in_x[k] + y * in_y[k] + z * in_z[k] + offsets[k]
+            a = turn * (0.25 - abs(turns - np.floor(turns + 0.5)))
+            b = a * a
+            series = 1 - b * (1 / 210) * (1 - b * (1 / 272))
+            series = 1 - b * (1 / 110) * (1 - b * (1 / 156) * series)
+            series = 1 - b * (1 / 42) * (1 - b * (1 / 72) * series)
+            total += a * (1 - b * (1 / 6) * (1 - b * (1 / 20) * series))
+        sums[i] = total
+    return sums

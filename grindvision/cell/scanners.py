@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
@@ -58,6 +59,11 @@ class Scanner:
         """Return another instrument of the same type."""
         return replace(self, serial=serial)
 
+    @property
+    def half_field_mm(self) -> Floats:
+        """Half width and height (2,) of the field of view at the reference distance."""
+        return np.array([self.columns, self.rows]) / 2 / self.focal_px * self.reference_mm
+
     def rays(self, pixels: ArrayLike) -> Floats:
         """Directions (N, 3) with z = 1 of pixels (N, 2), in the scanner frame."""
         pixels = np.asarray(pixels)
@@ -75,7 +81,8 @@ class Scanner:
         points = np.asarray(points, dtype=float)
         instrument = np.random.default_rng([self.serial, 20180913])
         scale = self.errors.scale * instrument.standard_normal()
-        return scale * points[:, 2] + distortion(points, self, instrument)
+        bent = distortion(points, self.errors, self.half_field_mm, self.reference_mm, instrument)
+        return scale * points[:, 2] + bent
 
     def sight(
         self,
@@ -95,9 +102,9 @@ class Scanner:
         left, right, top, bottom = window or (0, self.columns - 1, 0, self.rows - 1)
         u = np.arange(max(left, 0), min(right, self.columns - 1) + 1, every)
         v = np.arange(max(top, 0), min(bottom, self.rows - 1) + 1, every)
-        at = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        rays = self.rays(at)
-        hits = target.cast(pose[:3, 3], rays @ pose[:3, :3].T)
+        x = self.rays(np.column_stack([u, np.zeros_like(u)]))[:, 0]
+        y = self.rays(np.column_stack([np.zeros_like(v), v]))[:, 1]
+        hits = target.cast(pose[:3, 3], _directions(x, y, pose[:3, :3]))
         inside = (hits.distance >= self.near_mm) & (hits.distance <= self.far_mm)
         if not inside.any():
             if len(hits.ray) == 0:
@@ -106,14 +113,14 @@ class Scanner:
                 f"the part lies {hits.distance.min():.0f} to {hits.distance.max():.0f} mm from the scanner, outside its"
                 f" measuring range of {self.near_mm:.0f} to {self.far_mm:.0f} mm; move the scanner"
             )
-        ray, triangle = hits.ray[inside], hits.triangle[inside]
-        points = rays[ray] * hits.distance[inside, None]
+        (row, column), triangle = np.divmod(hits.ray[inside], len(u)), hits.triangle[inside]
+        z = hits.distance[inside]
+        points = np.column_stack([x[column] * z, y[row] * z, z])
         T_scanner_world = inverse(pose)
         normals = turn_vectors(T_scanner_world, target.normals[triangle])
         projector = np.array([self.baseline_mm, 0, 0])
-        angles = [np.arccos(np.clip(_cosine(eye - points, normals), -1, 1)) for eye in (np.zeros(3), projector)]
         return Sighting(
-            np.column_stack([ray % len(u), ray // len(u)]),
+            np.column_stack([column, row]),
             (len(v), len(u)),
             every,
             points,
@@ -121,7 +128,7 @@ class Scanner:
             target.solid.surface_id[triangle],
             target.solid.surfaces,
             target.sees(move_points(pose, points), target.normals[triangle], move_points(pose, projector)),
-            np.maximum(*angles),
+            np.maximum(_incidence(points, normals, np.zeros(3)), _incidence(points, normals, projector)),
             pose,
         )
 
@@ -181,9 +188,10 @@ class Scanner:
         """Move some pixels at depth edges, in place, part of the way to the neighbour's depth; mark them."""
         grid = np.full((shape[0] + 1, shape[1] + 1), np.nan)
         grid[pixels[:, 1], pixels[:, 0]] = z
-        step = np.stack([grid[pixels[:, 1], pixels[:, 0] + 1] - z, grid[pixels[:, 1] + 1, pixels[:, 0]] - z], axis=1)
-        step = np.take_along_axis(step, np.nanargmax(np.nan_to_num(np.abs(step)), axis=1)[:, None], axis=1)[:, 0]
-        edge = np.nan_to_num(np.abs(step)) > self.errors.edge_mm
+        column, row = pixels.T
+        aside, below = (np.nan_to_num(grid[at] - z) for at in ((row, column + 1), (row + 1, column)))
+        step = np.where(np.abs(aside) >= np.abs(below), aside, below)
+        edge = np.abs(step) > self.errors.edge_mm
         mixed = edge & (rng.random(len(z)) < self.errors.mixed_pixels)
         z[mixed] += rng.random(int(mixed.sum())) * step[mixed]
         return mixed
@@ -251,8 +259,29 @@ class DepthCamera(Scanner):
     )
 
 
-def _cosine(vectors: Floats, unit: Floats) -> Floats:
-    return np.einsum("ij,ij->i", vectors, unit) / np.linalg.norm(vectors, axis=1)
+@nb.njit(cache=True)
+def _directions(x: Floats, y: Floats, rotation: Floats) -> Floats:
+    """Rays (x, y, 1) of all columns ``x`` (C,) and rows ``y`` (R,), row by row and turned by ``rotation``: (R C, 3)."""
+    directions = np.empty((len(y) * len(x), 3))
+    for i in range(len(y)):
+        for j in range(len(x)):
+            for k in range(3):
+                directions[i * len(x) + j, k] = x[j] * rotation[k, 0] + y[i] * rotation[k, 1] + rotation[k, 2]
+    return directions
+
+
+@nb.njit(cache=True)
+def _incidence(points: Floats, normals: Floats, eye: Floats) -> Floats:
+    """Angles (N,) in radians between the ways from surface points (N, 3) to the eye and the normals there."""
+    angles = np.empty(len(points))
+    for i in range(len(points)):
+        along, squared = 0.0, 0.0
+        for k in range(3):
+            way = eye[k] - points[i, k]
+            along += way * normals[i, k]
+            squared += way * way
+        angles[i] = np.arccos(min(max(along / np.sqrt(squared), -1.0), 1.0))
+    return angles
 
 
 def _correlated(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Floats:
