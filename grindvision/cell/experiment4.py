@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from grindvision import paper
-from grindvision.cell.grinding_part import BEAD_PLACE, STATION_MM, Bead, GrindingPart, Surface, free_form, part_with
+from grindvision.cell.grinding_part import BEAD_PLACE, STATION_MM, Bead, GrindingPart, Surface, free_form, good_part
 from grindvision.cell.grinding_scene import GrindingScene, scanned_pair
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.errors import InputError
@@ -126,7 +127,7 @@ def twin_part(path: PrintedPath, width_mm: float = 4.0, height_mm: float = 1.5) 
     T_scanner_part = rigid(rotation, foot.mean(axis=0) - rotation @ middle)
     T_part_scanner = inverse(T_scanner_part)
     bead = Bead(move_points(T_part_scanner, ridge), turn_vectors(T_part_scanner, normals), width_mm, height_mm)
-    return part_with(_surface_under(bead), bead), T_scanner_part
+    return good_part(_surface_under(bead)).with_bead(bead), T_scanner_part
 
 
 def experiment4_twin(
@@ -148,8 +149,7 @@ def experiment4_twin(
     """
     if not 0 <= turn_deg <= 40:
         raise InputError(f"turn_deg is {turn_deg}; choose 0 to 40, so that the sample scan still sees the bead's place")
-    path = printed_path()
-    part, T_scanner_part = twin_part(path)
+    path, part, T_scanner_part = _twin()
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
     T_part_test = inverse(T_scanner_part)
@@ -162,6 +162,13 @@ def experiment4_twin(
     seen_mm = float((pivot - T_part_sample[:3, 3]) @ T_part_sample[:3, 2])
     T_part_sample[:3, 3] += (seen_mm - scanner.reference_mm) * T_part_sample[:3, 2]
     return Experiment4Twin(scanned_pair(part, scanner, T_part_sample, T_part_test, rng, every), path)
+
+
+@cache
+def _twin() -> tuple[PrintedPath, GrindingPart, Floats]:
+    """The printed path, and the part that is built round it: the same for every seed."""
+    path = printed_path()
+    return path, *twin_part(path)
 
 
 def perpendicular(vectors: Floats, axes: Floats) -> Floats:

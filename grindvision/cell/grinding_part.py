@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import manifold3d as m3
 import numpy as np
@@ -120,9 +121,7 @@ def grinding_part(
     if length_mm > 0.5 * BREADTH_MM:
         raise InputError(f"the bead is {length_mm} mm long; on this plate it may be {0.5 * BREADTH_MM:.0f} mm")
 
-    def surface(x: Floats, y: Floats) -> Floats:
-        return relief * free_form(x, y)
-
+    surface = _standard_surface(relief)
     x_mid, y_mid, turn_deg = BEAD_PLACE
     s = np.linspace(-length_mm / 2, length_mm / 2, int(np.ceil(length_mm / STATION_MM)) + 1)
     angle = np.radians(turn_deg) + s / 120.0
@@ -130,11 +129,23 @@ def grinding_part(
     y = y_mid + s * np.sin(angle)
     normals = surface_normals(surface, x, y)
     bead = Bead(np.column_stack([x, y, surface(x, y)]) + height_mm * normals, normals, width_mm, height_mm)
-    return part_with(surface, bead, relief)
+    return _standard_part(relief).with_bead(bead)
 
 
-def part_with(surface: Surface, bead: Bead, relief: float = 1.0) -> GrindingPart:
-    """Build the plate under a free-form ``surface`` z(x, y), add boss, rib and pocket, and set the bead on it."""
+@dataclass(frozen=True)
+class GoodPart:
+    """The part without a bead: as a shape that takes one, and as the finished solid."""
+
+    shape: Shape
+    solid: Solid
+
+    def with_bead(self, bead: Bead) -> GrindingPart:
+        """Set a bead on the part."""
+        return GrindingPart(self.solid, (self.shape + bead.shape()).solid(), bead)
+
+
+def good_part(surface: Surface, relief: float = 1.0) -> GoodPart:
+    """Build the plate under a free-form ``surface`` z(x, y), and add boss, rib and pocket."""
     x = np.linspace(-LENGTH_MM / 2, LENGTH_MM / 2, int(LENGTH_MM) + 1)
     y = np.linspace(-BREADTH_MM / 2, BREADTH_MM / 2, int(BREADTH_MM) + 1)
     plate = height_field("plate", x, y, surface, FLOOR_MM)
@@ -154,7 +165,16 @@ def part_with(surface: Surface, bead: Bead, relief: float = 1.0) -> GrindingPart
     body = plate + Shape.named(pillar(disc, boss, 0, FLOOR_MM + 1, level(*boss) + 11 * relief), "boss")
     body = body + Shape.named(pillar(bar, rib, -14, FLOOR_MM + 1, level(*rib) + 7 * relief), "rib")
     body = body - Shape.named(pillar(hole, pocket, 20, level(*pocket) - 7 * relief, 100.0), "pocket")
-    return GrindingPart(body.solid(), (body + bead.shape()).solid(), bead)
+    return GoodPart(body, body.solid())
+
+
+@lru_cache(maxsize=4)
+def _standard_part(relief: float) -> GoodPart:
+    return good_part(_standard_surface(relief), relief)
+
+
+def _standard_surface(relief: float) -> Surface:
+    return lambda x, y: relief * free_form(x, y)
 
 
 def free_form(x: Floats, y: Floats) -> Floats:
