@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
 
+#: Pixels per inch of images and rasterised layers inside an SVG; lines and text have none.
+LAYER_DPI = 90
+
 
 def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> None:
     """Save a figure as ``name.svg``, ``name.png`` and ``name.csv``, show it with its caption, and close it.
@@ -39,7 +42,7 @@ def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> Non
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     with write_whole(svg) as path:
         about = {"Title": name, "Description": caption, "Source": f"chapter {chapter}"}
-        fig.savefig(path, metadata={**about, "Date": None, "Creator": None})
+        fig.savefig(path, dpi=LAYER_DPI, metadata={**about, "Date": None, "Creator": None})
     with write_whole(png) as path:
         fig.savefig(path, metadata={"Title": name, "Description": caption, "Software": None})
     write_text(folder / f"{name}.csv", csv_text(data))
