@@ -18,7 +18,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 from grindvision import book, cli, paper
 from grindvision.book.agreement import disagreements
 from grindvision.book.answers import judged, verdict, write_scoreboard
-from grindvision.book.chapters import chosen, rebuild
+from grindvision.book.chapters import LONGEST, _environment, chapters, chosen, longest_first, rebuild
 from grindvision.errors import FileError, InputError
 
 EXPECTED = paper.expected()
@@ -212,6 +212,22 @@ def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
     assert before == {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}
     executed = nbformat.read(tmp_path / "build" / "executed" / "01_good.ipynb", as_version=4)
     assert any(cell.get("outputs") for cell in executed.cells)
+
+
+def test_the_longest_chapters_start_first_and_none_is_left_out():
+    there = list(chapters())
+    order = longest_first(there)
+    assert sorted(order) == there
+    assert tuple(order[: len(LONGEST)]) == LONGEST
+
+
+def test_studies_of_chapters_that_share_the_cores_share_their_workers():
+    for threads in (1, 2):
+        asked = "import joblib; print(joblib.effective_n_jobs(-1))"
+        answer = subprocess.run(
+            [sys.executable, "-c", asked], env=_environment(False, threads), capture_output=True, text=True, check=True
+        )
+        assert int(answer.stdout) == min(threads, os.cpu_count())
 
 
 def test_answers_of_a_chapter_that_no_longer_exists_are_forgotten(tmp_path):

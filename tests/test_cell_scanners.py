@@ -7,9 +7,10 @@ import pytest
 
 from grindvision import cell
 from grindvision.cell import ScannerErrors
+from grindvision.cell.scanner_errors import sum_of_cosines
 from grindvision.cell.solids import box
 from grindvision.errors import InputError, NotRigidError, SightError
-from grindvision.geometry import fit_plane, rigid, rotation_about
+from grindvision.geometry import fit_plane, inverse, move_points, rigid, rotation_about, turn_vectors
 from grindvision.vision.field_correction import calibrate_field
 from grindvision.vision.step_height import measure_step
 
@@ -31,6 +32,48 @@ def test_without_errors_points_lie_on_the_surface_exactly(plate):
     scan = scanner.scan(plate, pose, np.random.default_rng(0), every=8)
     assert np.abs(scan.world_points()[:, 2]).max() < 1e-9
     np.testing.assert_array_equal(scan.points, scan.true_points)
+
+
+def plain_sighting(scanner, target, pose, every):
+    """Twin of ``Scanner.sight`` in plain NumPy: the hits' points, normals, light and incidence."""
+    u, v = np.arange(0, scanner.columns, every), np.arange(0, scanner.rows, every)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    rays = scanner.rays(pixels)
+    hits = target.cast(pose[:3, 3], rays @ pose[:3, :3].T)
+    corners, normals = target.corners[hits.triangle], target.normals[hits.triangle]
+    to_plane = np.einsum("ij,ij->i", corners - pose[:3, 3], normals)
+    points = rays[hits.ray] * (to_plane / np.einsum("ij,ij->i", (rays @ pose[:3, :3].T)[hits.ray], normals))[:, None]
+    eyes = np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])
+    light = target.sees(move_points(pose, points), normals, move_points(pose, eyes[1]))
+    normals = turn_vectors(inverse(pose), normals)
+    ways = [(eye - points) / np.linalg.norm(eye - points, axis=1, keepdims=True) for eye in eyes]
+    cosines = [np.clip(np.einsum("ij,ij->i", way, normals), -1, 1) for way in ways]
+    return pixels[hits.ray] // every, points, normals, light, np.maximum(*(np.arccos(cosine) for cosine in cosines))
+
+
+@pytest.mark.parametrize(
+    "scanner", [cell.StructuredLightScanner(far_mm=600.0), cell.DepthCamera()], ids=["EinScan", "D415"]
+)
+@pytest.mark.parametrize("every", [3, 7])
+def test_a_sighting_is_what_plain_arrays_make_of_the_same_rays(scanner, every):
+    target = cell.Target(cell.grinding_part().test)
+    pose = cell.view_from(np.array([5.0, -3.0, 2.0]), 430.0, 0.3, 1.0, 0.2)
+    seen = scanner.sight(target, pose, every)
+    pixels, points, normals, light, incidence = plain_sighting(scanner, target, pose, every)
+    np.testing.assert_array_equal(seen.pixels, pixels)
+    np.testing.assert_array_equal(seen.in_light, light)
+    for found, plain in ((seen.points, points), (seen.normals, normals), (seen.incidence_rad, incidence)):
+        np.testing.assert_allclose(found, plain, atol=1e-9)
+
+
+def test_the_sum_of_cosines_is_exact_to_rounding(rng):
+    points, waves, phases = (
+        400 * rng.standard_normal((500, 3)),
+        rng.standard_normal((24, 3)) / 30,
+        rng.uniform(0, 7, 24),
+    )
+    plain = np.cos(points @ waves.T + phases).sum(axis=1)
+    np.testing.assert_allclose(sum_of_cosines(points, waves, phases), plain, atol=1e-11)
 
 
 def test_height_target_is_measured_exactly_without_errors():

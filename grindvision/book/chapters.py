@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,9 @@ from grindvision.files import write_whole
 
 #: The chapter that looks back on all others runs last.
 OVERVIEW = "00"
+
+#: The longest chapters, longest first: they start first, so that no core waits for the last one.
+LONGEST = ("08", "09", "10", "05", "11", "02", "12", "07")
 
 #: A cell that takes longer than this has hung.
 CELL_TIMEOUT_S = 900
@@ -141,11 +144,16 @@ async def _run_all(
         report(outcome)
         return outcome
 
-    outcomes = list(await asyncio.gather(*(run(number) for number in picked if number != OVERVIEW)))
+    outcomes = list(await asyncio.gather(*(run(number) for number in longest_first(picked) if number != OVERVIEW)))
     if OVERVIEW in picked:
         write_scoreboard(figures)
-        outcomes.insert(0, await run(OVERVIEW))
-    return outcomes
+        outcomes.append(await run(OVERVIEW))
+    return sorted(outcomes, key=lambda outcome: outcome.chapter)
+
+
+def longest_first(numbers: Iterable[str]) -> list[str]:
+    """Chapters in the order in which they start."""
+    return sorted(numbers, key=lambda number: (LONGEST.index(number) if number in LONGEST else len(LONGEST), number))
 
 
 async def _run(source: Path, copy: Path, environment: dict[str, str]) -> Outcome:
@@ -197,13 +205,14 @@ def _last_line(text: str) -> str:
 
 
 def _environment(fast: bool, threads: int) -> dict[str, str]:
-    """Environment of a kernel: the setting, one numerical thread for each kernel that shares the cores, no chatter."""
+    """Environment of a kernel: the setting, its share of the cores for numerical threads and studies, no chatter."""
     environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
     pinned = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
     return environment | {
         "GRINDVISION_FAST": "1" if fast else "0",
         **dict.fromkeys(pinned, "1"),
         "NUMBA_NUM_THREADS": str(threads),
+        "LOKY_MAX_CPU_COUNT": str(threads),
         "TQDM_DISABLE": "1",
         "PYDEVD_DISABLE_FILE_VALIDATION": "1",
     }
