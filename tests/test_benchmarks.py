@@ -14,6 +14,8 @@ from benchmarks import __main__ as bench
 from benchmarks import goals, inputs, judging, races, racing, report
 from benchmarks.racing import Case, Measurement, Racer
 
+pytestmark = pytest.mark.xdist_group("races")  # one cache of scans
+
 TINY = replace(races.QUICK, poses=1)
 STAGES = {
     one.name: one for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.VOXEL, races.FPFH)

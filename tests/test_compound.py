@@ -18,6 +18,8 @@ from grindvision.book.limits import displacement
 from grindvision.cell.experiment4 import printed_path
 from grindvision.geometry import angle_between, move_points
 
+pytestmark = pytest.mark.xdist_group("compound")  # one workplace, one plan, one cell
+
 
 @pytest.fixture(scope="module")
 def paths():
