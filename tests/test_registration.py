@@ -112,6 +112,15 @@ def test_the_same_seed_gives_the_same_pose(easy):
     np.testing.assert_array_equal(one.T_sample_test, other.T_sample_test)
 
 
+def test_rounding_of_the_points_does_not_reach_the_result(easy, rng):
+    found = detect(easy.sample, easy.test)
+    for _ in range(3):
+        sample, test = (cloud + 1e-12 * rng.standard_normal(cloud.shape) for cloud in (easy.sample, easy.test))
+        again = detect(sample, test)
+        np.testing.assert_allclose(again.T_sample_test, found.T_sample_test, atol=1e-9)
+        np.testing.assert_allclose(again.path_points, found.path_points, atol=1e-9)
+
+
 def test_a_scan_turned_inside_out_is_turned_back(easy):
     middle = easy.sample.mean(axis=0)
     found = detect(easy.sample - middle, easy.test - easy.test.mean(axis=0))

@@ -72,7 +72,11 @@ def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
 
 
 def cell_origin(points: Floats, size_mm: float) -> Floats:
-    """Corner (3,) from which cells are counted, one cell below the points; checks that the cells can be keyed."""
+    """Corner (3,) from which cells are counted; checks that the cells can be keyed.
+
+    It lies a cell and a half below the points: the outermost ones, which define it, then stand in the middle of their
+    cell, and rounding moves none of them into another.
+    """
     if not size_mm > 0:
         raise InputError(f"the cell size is {size_mm} mm; it must be above zero")
     if len(points) == 0:
@@ -84,7 +88,7 @@ def cell_origin(points: Floats, size_mm: float) -> Floats:
             f"the points span {float((high - low).max()):.3g} mm, {cells:.3g} cells of {size_mm:.3g} mm; drop far"
             " outliers or take larger cells"
         )
-    return low - size_mm
+    return low - 1.5 * size_mm
 
 
 @njit(cache=True, nogil=True)
