@@ -208,6 +208,32 @@ def test_a_flank_in_shadow_does_not_move_the_ridge(rng):
         assert path.points[:, 2] == pytest.approx(1.5, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("section", "highest", "most_mm"),
+    [
+        (lambda u: np.sqrt(1.2 - u**2) - np.sqrt(0.2), 0.0, 0.03),
+        (lambda u: (1 + np.cos(np.pi * u)) / 2, 0.0, 0.03),
+        (lambda u: 1 - u**4, 0.0, 0.05),
+        (lambda u: 1 - u**2 + 0.2 * (u - u**3), 0.098, 0.05),
+        (lambda u: 1 - np.abs(u) ** 1.5, 0.0, 0.05),
+    ],
+    ids=["round", "bell", "flat-topped", "lopsided", "pointed"],
+)
+def test_beads_of_any_section_are_followed_where_they_are_highest(section, highest, most_mm):
+    """``highest``: across, in half widths."""
+    aside, above = [], []
+    for seed in range(5):
+        draw = np.random.default_rng(seed)
+        s, u = draw.uniform(0, 30, 6000), draw.uniform(-1, 1, 6000)
+        h = 1.5 * section(u) / section(highest) + draw.normal(scale=0.02, size=6000)
+        places, up = np.column_stack([s, 2 * u, h]), np.tile([0.0, 0, 1], (6000, 1))
+        path = trace_bead(Cluster(places, h, up, 0.9, 120.0, 120.0, 1.5))
+        aside.append(path.points[:, 1] - 2 * highest)
+        above.append(path.points[:, 2] - 1.5)
+    assert np.abs(aside).mean() < most_mm
+    assert np.abs(above).mean() < most_mm
+
+
 def test_the_paper_s_threshold_is_squared_in_pcl(rng):
     sample = rng.uniform(0, 10, size=(500, 3))
     test = sample[:100] + [0, 0, 0.6]

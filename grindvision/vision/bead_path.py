@@ -1,8 +1,8 @@
 """Path points along the ridge of a bead (ours, in place of section 3.6's boxes).
 
 The bead's rough course comes from ``bead_course``. The ridge is where the height over the good surface is
-greatest across the bead: the vertex of a parabola fitted across, which uneven sampling does not pull aside as it does a
-centroid.
+greatest across the bead: the top of a quartic fitted across, which uneven sampling does not pull aside as it does a
+centroid, and which fits round, bell-shaped and lopsided beads as well as a parabola.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError, InputError
@@ -19,8 +20,23 @@ from grindvision.vision.difference import Cluster
 
 Floats = NDArray[np.float64]
 
-CURVATURE_WIDTHS = 5.0
-"""Over so many widths to either side a bead keeps its cross-section well enough for its curvature to be averaged."""
+REACH_WIDTHS = 1.2
+"""A station's cross-section is fitted to what lies within so many widths of it along the bead."""
+
+SHAPE_WIDTHS = 5.0
+"""Over so many widths to either side a bead keeps the shape of its cross-section well enough for it to be averaged."""
+
+TOP_SHARE = 0.05
+"""The ridge is the middle of what lies within this share of the top's height: a flat top has no vertex of its own."""
+
+POWERS = np.arange(1, 5)
+"""Of the distance across, in widths: the terms of a cross-section; where one flank is not shown, the first two."""
+
+FARTHEST = 0.36
+"""So many widths from the course the ridge may lie; what seems farther is a flank without a top."""
+
+FLANK, LEAST_FLANK = 0.2, 0.1
+"""A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +80,8 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     curve, closed, width = bead_course(cluster)
     stations = Curve(curve, closed)
     for _ in range(2):
-        stations = Curve(_smoothed(_vertices(cluster, stations, width)[0], closed), closed)
-    feet, normals, heights = _vertices(cluster, stations, width)
+        stations = Curve(_smoothed(_ridge(cluster, stations, width)[0], closed), closed)
+    feet, normals, heights = _ridge(cluster, stations, width)
     ridge = Curve(feet + heights[:, None] * normals, closed)
     start, end = (0.0, ridge.length_mm) if closed else _ends(cluster, ridge)
     at = start + (end - start) * ((np.arange(points) + (0.0 if closed else 0.5)) / points)
@@ -78,13 +94,13 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     )
 
 
-def _vertices(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Floats, Floats]:
     """Ridge over stations along the curve: feet (M, 3) on the good surface, its normals (M, 3), ridge heights (M,).
 
     Points are taken in the curve's own coordinates: arc length s, distance b across, height h over the good surface.
-    Around each station h = c0 + c1 s + c2 s^2 + (c3 + c4 s) b + c5 b^2 is fitted; the ridge lies at b = -c3 / (2 c5).
-    Often one flank is in shadow; the slope of the other alone cannot tell a ridge farther off from a rounder one. So
-    the curvature c5 is pooled over ``CURVATURE_WIDTHS`` along the bead before the ridge is placed.
+    Around each station h = g(b - t) + c0 + c1 s + c2 s^2 + c3 s b is fitted. The section g, a quartic, is pooled over
+    ``SHAPE_WIDTHS`` along the bead, the station's own is its shift t across: often one flank is in shadow, and the
+    slope of the other alone cannot tell a ridge farther off from a rounder one. The ridge is the middle of g's top.
     """
     feet = cluster.points - cluster.heights_mm[:, None] * cluster.normals
     s_all = stations.arc_of(feet)
@@ -98,21 +114,19 @@ def _vertices(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, 
     if len(windows) < 2:
         raise DegenerateError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
     arcs = np.array([arc for arc, _ in windows])
-    fits = [
-        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], 1.2 * width)
+    sections = [
+        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], width)
         for arc, used in windows
     ]
-    curvatures = _pooled_curvatures(fits, arcs, stations, CURVATURE_WIDTHS * width)
-    laterals, heights = zip(
-        *(fit.vertex(c, 0.36 * width) for fit, c in zip(fits, curvatures, strict=True)), strict=True
-    )
+    shapes = _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width)
+    laterals, heights = zip(*(one.ridge(shape) for one, shape in zip(sections, shapes, strict=True)), strict=True)
     tangents, places = stations.tangents(arcs), stations.at(arcs)
-    normals = np.array([fit.weights @ cluster.normals[used] for fit, (_, used) in zip(fits, windows, strict=True)])
+    normals = np.array([one.weights @ cluster.normals[used] for one, (_, used) in zip(sections, windows, strict=True)])
     normals -= (normals * tangents).sum(axis=1, keepdims=True) * tangents
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     depths = [
-        np.average(offsets[used] @ up, weights=fit.weights)
-        for fit, up, (_, used) in zip(fits, normals, windows, strict=True)
+        np.average(offsets[used] @ up, weights=one.weights)
+        for one, up, (_, used) in zip(sections, normals, windows, strict=True)
     ]
     places = places + np.array(depths)[:, None] * normals + np.array(laterals)[:, None] * np.cross(normals, tangents)
     return places, normals, np.array(heights)
@@ -126,40 +140,66 @@ def _along(s: Floats, arc: float, stations: Curve) -> Floats:
 
 def _window(s: Floats, b: Floats, arc: float, stations: Curve, width: float) -> NDArray[np.bool_]:
     """The points (N,) that a station's cross-section is fitted to."""
-    return (np.abs(_along(s, arc, stations)) < 1.2 * width) & (np.abs(b) < 0.6 * width)
+    return (np.abs(_along(s, arc, stations)) < REACH_WIDTHS * width) & (np.abs(b) < 0.5 * width)
 
 
 class _Section:
-    """The bead's cross-section at one station, fitted to points by their s, b and h (see ``_vertices``)."""
+    """The bead's cross-section at one station, fitted to points by their s, b and h (see ``_ridge``)."""
 
-    def __init__(self, s: Floats, b: Floats, h: Floats, reach: float) -> None:
-        self.b, self.h = b, h
-        self.weights = (1 - (np.abs(s) / reach) ** 3) ** 3
+    def __init__(self, s: Floats, b: Floats, h: Floats, width: float) -> None:
+        self.b, self.width = b, width
+        self.weights = (1 - (np.abs(s) / (REACH_WIDTHS * width)) ** 3) ** 3
         self.root = np.sqrt(self.weights)
-        self.rest = np.column_stack([np.ones_like(s), s, s * s, b, s * b]) * self.root[:, None]
+        self.across = b / width
+        self.rest = np.column_stack([np.ones_like(s), s, s * s, s * b]) * self.root[:, None]
+        self.heights = h * self.root
 
-    def curvature(self) -> tuple[float, float]:
-        """Curvature c5 and its variance; the variance is infinite where the points do not fix it or it is no ridge."""
-        design = np.column_stack([self.rest, self.b**2 * self.root])
-        c, left, rank, _ = np.linalg.lstsq(design, self.h * self.root, rcond=1e-9)
-        if rank < 6 or c[5] >= 0 or len(left) == 0:
-            return 0.0, np.inf
-        return float(c[5]), float(left[0] / len(self.h) * np.linalg.inv(design.T @ design)[5, 5]) + 1e-18
+    def equations(self) -> tuple[Floats, Floats, Floats]:
+        """Normal equations (4, 4) and (4,) of the shape, whatever the other terms are; weight of the flanks (2,)."""
+        shape = self.across[:, None] ** POWERS * self.root[:, None]
+        rest = np.linalg.qr(self.rest)[0]
+        own = shape - rest @ (rest.T @ shape)
+        flanks = [self.weights @ (side * self.across > FLANK) / self.weights.sum() for side in (-1, 1)]
+        return own.T @ own, own.T @ self.heights, np.array(flanks)
 
-    def vertex(self, curvature: float, most: float) -> tuple[float, float]:
-        """Where across the ridge lies, at most so far away, and its height, given the curvature (0: not known)."""
-        c = np.linalg.lstsq(self.rest, (self.h - curvature * self.b**2) * self.root, rcond=1e-9)[0]
-        lateral = -c[3] / (2 * curvature) if curvature < 0 else np.average(self.b, weights=self.weights * self.h)
-        lateral = float(np.clip(lateral, -most, most))
-        return lateral, float(c[0] + c[3] * lateral + curvature * lateral**2)
+    def ridge(self, shape: Floats) -> tuple[float, float]:
+        """Where across the ridge lies, and its height, given the section's shape (4,)."""
+        section = Polynomial([0.0, *shape])
+        left = self.heights - section(self.across) * self.root
+        moved = -section.deriv()(self.across) * self.root
+        level, *_, shift = np.linalg.lstsq(np.column_stack([self.rest, moved]), left, rcond=1e-9)[0]
+        across = np.linspace(-FARTHEST, FARTHEST, 101)
+        top = _middle_of_top(across, level + section(across))
+        lateral = float(np.clip(top + shift, -FARTHEST, FARTHEST))
+        return lateral * self.width, float(level + section(top))
 
 
-def _pooled_curvatures(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
-    """Curvatures (M,) averaged along the bead, each weighted by how well its section knows it; 0 where none does."""
-    values, variances = np.array([section.curvature() for section in sections]).T
+def _middle_of_top(across: Floats, heights: Floats) -> float:
+    """Middle of the places (K,) whose heights (K,) come within ``TOP_SHARE`` of the highest."""
+    level = heights.max() - TOP_SHARE * abs(heights.max())
+    high = np.flatnonzero(heights >= level)
+    ends = []
+    for last, beyond in ((high[0], high[0] - 1), (high[-1], high[-1] + 1)):
+        inside = 0 <= beyond < len(across)
+        way = (heights[last] - level) / (heights[last] - heights[beyond]) if inside else 0.0
+        ends.append(across[last] + way * (across[1] - across[0]) * (beyond - last))
+    return float(sum(ends)) / 2
+
+
+def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
+    """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
+    equations, rights, flanks = map(np.array, zip(*(section.equations() for section in sections), strict=True))
     away = np.abs(np.array([_along(arcs, arc, stations) for arc in arcs]))
-    weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3 / variances
-    return (weights @ values) / np.maximum(weights.sum(axis=1), 1e-300)
+    weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
+    weights /= weights.sum(axis=1, keepdims=True)
+    shapes = np.zeros(rights.shape)
+    for shape, weight in zip(shapes, weights, strict=True):
+        terms = len(POWERS) if (weight @ flanks > LEAST_FLANK).all() else 2
+        pooled = np.tensordot(weight, equations[:, :terms, :terms], 1)
+        shape[:terms] = np.linalg.lstsq(pooled, weight @ rights[:, :terms], rcond=1e-9)[0]
+        if terms == 2 and shape[1] >= 0:
+            shape[:] = 0.0  # no ridge shows; the course stays where it is
+    return shapes
 
 
 def _smoothed(places: Floats, closed: bool) -> Floats:
