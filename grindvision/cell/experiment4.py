@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 from grindvision import paper
 from grindvision.cell.grinding_part import BEAD_PLACE, STATION_MM, Bead, GrindingPart, Surface, free_form, good_part
 from grindvision.cell.grinding_scene import GrindingScene, scanned_pair
+from grindvision.cell.rays import Target
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
-from grindvision.errors import InputError
+from grindvision.errors import InputError, SightError
 from grindvision.geometry import (
     fit_rigid,
     inverse,
@@ -38,6 +39,15 @@ BEAD_MIDDLE_MM = (-38.0, -14.0)
 
 #: Within this distance of the bead the plate follows the printed normals; farther out it is the standard free form.
 BLEND_MM = 18.0
+
+#: A drawn pose of the sample is good when the scan shows so much of what the test scan shows, and the bead's place.
+LEAST_OVERLAP = 0.5
+
+#: Poses drawn before it is given up. Of fifty seeds of the standard twin two draw twice.
+MOST_DRAWS = 20
+
+#: What a pose shows is looked at on every so many-th pixel, and counts as shown within this distance of a point.
+LOOK_EVERY, LOOK_MM = 6, 2.5
 
 
 @dataclass(frozen=True)
@@ -138,6 +148,9 @@ def experiment4_twin(
 ) -> Experiment4Twin:
     """Scan the twin: the test part from the printed pose, the sample from a pose about ``turn_deg`` away.
 
+    Who scans looks at what the scanner shows: a drawn pose of the sample that shows less than half of what the test
+    scan shows, or not the whole place of the bead, is drawn again.
+
     Args:
         rng: draws the instrument (its serial), the sample's pose and all noise.
         scanner: a structured-light scanner when left out; one that is given keeps its serial.
@@ -145,7 +158,8 @@ def experiment4_twin(
         every: pixel step; 1 gives full resolution.
 
     Raises:
-        InputError: a turn outside 0 to 40 deg. SightError: the scanner given does not reach the part.
+        InputError: a turn outside 0 to 40 deg. SightError: the scanner given does not reach the part, or no drawn pose
+            shows enough of it.
     """
     if not 0 <= turn_deg <= 40:
         raise InputError(f"turn_deg is {turn_deg}; choose 0 to 40, so that the sample scan still sees the bead's place")
@@ -153,15 +167,39 @@ def experiment4_twin(
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
     T_part_test = inverse(T_scanner_part)
-    look = T_part_test[:3, 2]
-    axis = np.cross(look, [0.0, 0.0, -1.0]) + 0.3 * rng.standard_normal(3)
-    # The sample's scanner turns about the middle of what the test scan sees of the plate.
+    target = Target(part.sample)
+    spots = _shown(scanner, target, T_part_test)
+    place = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
+    for _ in range(MOST_DRAWS):
+        T_part_sample = _sample_pose(rng, scanner, T_part_test, turn_deg)
+        try:
+            shown = cKDTree(_shown(scanner, target, T_part_sample))
+        except SightError:
+            continue
+        of_test, of_place = (np.isfinite(shown.query(at, distance_upper_bound=LOOK_MM)[0]) for at in (spots, place))
+        if of_test.mean() >= LEAST_OVERLAP and of_place.all():
+            return Experiment4Twin(scanned_pair(part, scanner, T_part_sample, T_part_test, rng, every), path)
+    raise SightError(
+        f"none of {MOST_DRAWS} poses drawn {turn_deg} deg from the printed one shows the bead's place and"
+        f" {LEAST_OVERLAP:.0%} of what the test scan shows; give another turn_deg or a scanner with a wider view"
+    )
+
+
+def _sample_pose(rng: np.random.Generator, scanner: Scanner, T_part_test: Floats, turn_deg: float) -> Floats:
+    """Pose T_part_sample (4, 4), turned towards facing the plate about the middle of what the test scan sees of it."""
+    axis = np.cross(T_part_test[:3, 2], [0.0, 0.0, -1.0]) + 0.3 * rng.standard_normal(3)
     pivot = np.array([0.0, BEAD_MIDDLE_MM[1], 0.0])
     turn = rotation_about(axis, np.radians(turn_deg))
-    T_part_sample = rigid(turn @ T_part_test[:3, :3], pivot + turn @ (T_part_test[:3, 3] - pivot))
-    seen_mm = float((pivot - T_part_sample[:3, 3]) @ T_part_sample[:3, 2])
-    T_part_sample[:3, 3] += (seen_mm - scanner.reference_mm) * T_part_sample[:3, 2]
-    return Experiment4Twin(scanned_pair(part, scanner, T_part_sample, T_part_test, rng, every), path)
+    pose = rigid(turn @ T_part_test[:3, :3], pivot + turn @ (T_part_test[:3, 3] - pivot))
+    seen_mm = float((pivot - pose[:3, 3]) @ pose[:3, 2])
+    pose[:3, 3] += (seen_mm - scanner.reference_mm) * pose[:3, 2]
+    return pose
+
+
+def _shown(scanner: Scanner, target: Target, T_part_scanner: Floats) -> Floats:
+    """Points (N, 3) of the part, in its frame, that a quick look from a pose shows."""
+    view = scanner.measure(scanner.sight(target, T_part_scanner, LOOK_EVERY), np.random.default_rng(0))
+    return move_points(T_part_scanner, view.true_points)
 
 
 @cache

@@ -35,7 +35,7 @@ POWERS = np.arange(1, 5)
 FARTHEST = 0.36
 """So many widths from the course the ridge may lie; what seems farther is a flank without a top."""
 
-FLANK, LEAST_FLANK = 0.2, 0.1
+FLANK, LEAST_FLANK = 0.2, 0.05
 """A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
 
 
