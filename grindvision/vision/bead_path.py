@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError, InputError
@@ -34,6 +33,9 @@ POWERS = np.arange(1, 5)
 
 FARTHEST = 0.36
 """So many widths from the course the ridge may lie; what seems farther is a flank without a top."""
+
+ACROSS = np.linspace(-FARTHEST, FARTHEST, 101)
+ACROSS_POWERS = ACROSS[:, None] ** POWERS
 
 FLANK, LEAST_FLANK = 0.2, 0.05
 """A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
@@ -147,31 +149,30 @@ class _Section:
     """The bead's cross-section at one station, fitted to points by their s, b and h (see ``_ridge``)."""
 
     def __init__(self, s: Floats, b: Floats, h: Floats, width: float) -> None:
-        self.b, self.width = b, width
         self.weights = (1 - (np.abs(s) / (REACH_WIDTHS * width)) ** 3) ** 3
-        self.root = np.sqrt(self.weights)
-        self.across = b / width
-        self.rest = np.column_stack([np.ones_like(s), s, s * s, s * b]) * self.root[:, None]
-        self.heights = h * self.root
+        self.width = width
+        s, b = s / width, b / width
+        squared = b * b
+        terms = np.column_stack([np.ones_like(s), s, s * s, s * b, b, squared, squared * b, squared * squared])
+        weighted = terms * self.weights[:, None]
+        self.normal, self.right = terms.T @ weighted, weighted.T @ h
+        self.flanks = np.array([self.weights @ (side * b > FLANK) for side in (-1, 1)]) / self.weights.sum()
 
-    def equations(self) -> tuple[Floats, Floats, Floats]:
-        """Normal equations (4, 4) and (4,) of the shape, whatever the other terms are; weight of the flanks (2,)."""
-        shape = self.across[:, None] ** POWERS * self.root[:, None]
-        rest = np.linalg.qr(self.rest)[0]
-        own = shape - rest @ (rest.T @ shape)
-        flanks = [self.weights @ (side * self.across > FLANK) / self.weights.sum() for side in (-1, 1)]
-        return own.T @ own, own.T @ self.heights, np.array(flanks)
+    def equations(self) -> tuple[Floats, Floats]:
+        """Normal equations (4, 4) and (4,) of the section's shape, whatever the other terms are."""
+        others = np.linalg.lstsq(self.normal[:4, :4], self.normal[:4, 4:], rcond=1e-12)[0]
+        return self.normal[4:, 4:] - self.normal[4:, :4] @ others, self.right[4:] - others.T @ self.right[:4]
 
     def ridge(self, shape: Floats) -> tuple[float, float]:
         """Where across the ridge lies, and its height, given the section's shape (4,)."""
-        section = Polynomial([0.0, *shape])
-        left = self.heights - section(self.across) * self.root
-        moved = -section.deriv()(self.across) * self.root
-        level, *_, shift = np.linalg.lstsq(np.column_stack([self.rest, moved]), left, rcond=1e-9)[0]
-        across = np.linspace(-FARTHEST, FARTHEST, 101)
-        top = _middle_of_top(across, level + section(across))
+        free = np.eye(8)[:, :5]
+        free[[0, 4, 5, 6], 4] = -POWERS * shape  # a shift adds -g'(b)
+        left = self.right - self.normal[:, 4:] @ shape
+        level, *_, shift = np.linalg.lstsq(free.T @ self.normal @ free, free.T @ left, rcond=1e-12)[0]
+        heights = level + ACROSS_POWERS @ shape
+        top = _middle_of_top(ACROSS, heights)
         lateral = float(np.clip(top + shift, -FARTHEST, FARTHEST))
-        return lateral * self.width, float(level + section(top))
+        return lateral * self.width, float(np.interp(top, ACROSS, heights))
 
 
 def _middle_of_top(across: Floats, heights: Floats) -> float:
@@ -188,7 +189,8 @@ def _middle_of_top(across: Floats, heights: Floats) -> float:
 
 def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
     """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
-    equations, rights, flanks = map(np.array, zip(*(section.equations() for section in sections), strict=True))
+    equations, rights = map(np.array, zip(*(section.equations() for section in sections), strict=True))
+    flanks = np.array([section.flanks for section in sections])
     away = np.abs(np.array([_along(arcs, arc, stations) for arc in arcs]))
     weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
     weights /= weights.sum(axis=1, keepdims=True)
