@@ -108,6 +108,20 @@ def test_nothing_is_invented(rng, height):
         find_grooves(cloud(places, height(*places.T), rng))
 
 
+def test_gaps_between_things_beside_the_plate_hide_no_groove(rng):
+    """In a whole camera view the largest hollows are gaps between boxes; where there is no groove, none is invented."""
+    places = grid(200, 200, 0.8)
+    y = places[:, 1]
+    boxes = np.select([(y > 20) & (y < 30), y > 60, y < -60], [45, 60, 50], 0.0)
+    groove = np.where(np.abs(y) < 18, vee(y), 0)
+    found = find_grooves(cloud(places, boxes + groove, rng))
+    assert found.cluttered and len(found.grooves) == 1
+    assert overlap(found.labels, np.abs(y) < 5) > 0.93
+    assert not find_grooves(cloud(places, vee(y), rng)).cluttered
+    with pytest.raises(NoGrooveError):
+        find_grooves(cloud(places, boxes, rng))
+
+
 def test_two_grooves_are_both_found_the_larger_first(rng):
     places = grid()
     heights = vee(places[:, 1] - 18, 12, 7) + vee(places[:, 1] + 20, 8, 4)

@@ -28,6 +28,8 @@ Flags = NDArray[np.bool_]
 LEAST_VOLUME_SHARE = 0.05
 #: Valleys below this share of the largest one's volume are not even fitted.
 LEAST_LOOKED_AT = 0.01
+#: Where the largest valley is no groove, so many of the valleys under each smaller disc are fitted, largest first.
+MOST_LOOKED_AT = 4
 #: A path that runs along a known groove for this share is that groove again.
 KNOWN_SHARE = 0.5
 
@@ -38,7 +40,8 @@ class GrooveDetection:
 
     ``groove_id`` has the same shape: rank of the point's groove, -1 outside. ``spacing_mm`` is the cloud's point
     distance, ``T_field_cloud`` (4, 4) the frame whose z axis is the viewing direction that was used. ``left_out`` are
-    grooves too small against the largest one to count.
+    grooves too small against the largest one to count. ``cluttered`` says that there are larger valleys than the
+    grooves, and that they are none: gaps between the things in the scene.
     """
 
     grooves: tuple[DetectedGroove, ...]
@@ -46,6 +49,7 @@ class GrooveDetection:
     spacing_mm: float
     T_field_cloud: Floats
     left_out: tuple[DetectedGroove, ...] = ()
+    cluttered: bool = False
 
     @property
     def labels(self) -> Flags:
@@ -83,11 +87,11 @@ def find_grooves(
             f"the points are {spacing:.2g} mm apart, too sparse for a groove {width_mm:.3g} mm wide; at least"
             f" {LEAST_POINTS_ACROSS:.0f} points must fit across it: scan more densely or from nearer"
         )
-    best: tuple[list[DetectedGroove], Floats] = [], sides[0][0]
+    best: tuple[list[DetectedGroove], Floats, bool] = [], sides[0][0], False
     for frames in sides:
-        grooves = _grooves_seen(cloud, frames, spacing, width_mm)
+        grooves, cluttered = _grooves_seen(cloud, frames, spacing, width_mm)
         if _total_volume(grooves) > _total_volume(best[0]):
-            best = grooves, frames[0]
+            best = grooves, frames[0], cluttered
     if not best[0]:
         raise NoGrooveError(
             f"no groove in the cloud ({len(cloud):,} points, {spacing:.2g} mm apart): no place where two walls fall"
@@ -101,7 +105,7 @@ def find_grooves(
     for number, groove in reversed(list(enumerate(grooves))):
         rank[groove.members] = number
     ranks = rank.reshape(np.shape(points)[:-1])
-    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], tuple(found[len(grooves) :]))
+    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], tuple(found[len(grooves) :]), best[2])
 
 
 def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
@@ -136,18 +140,28 @@ def _with_members(groove: DetectedGroove, members: Integers) -> DetectedGroove:
     return replace(groove, members=members)
 
 
-def _grooves_seen(cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None) -> list[DetectedGroove]:
-    """Grooves of one side of the surface, largest first; one seen from several directions counts once."""
+def _grooves_seen(
+    cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None
+) -> tuple[list[DetectedGroove], bool]:
+    """Grooves of one side of the surface, largest first; one seen from several directions counts once.
+
+    Also, whether some were found only under a smaller disc than the one that fills the largest valley.
+    """
     radius = None if width_mm is None else max(1.2 * width_mm, 8 * spacing)
     found: list[DetectedGroove] = []
+    cluttered = False
     for frame in frames:
-        valleys, field = find_valleys(cloud, frame, spacing, radius)
-        for valley in valleys:
-            path = move_points(inverse(field.T_field_cloud), valley.path)
-            if valley.volume_mm3 >= LEAST_LOOKED_AT * valleys[0].volume_mm3 and not _known(path, found):
-                groove = fit_groove(cloud, field.T_field_cloud, valley, spacing)
-                found += [groove] if groove is not None and not _known(groove.root, found) else []
-    return sorted(found, key=lambda groove: -groove.volume_mm3)
+        for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
+            before = len(found)
+            for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
+                path = move_points(inverse(field.T_field_cloud), valley.path)
+                if valley.volume_mm3 >= LEAST_LOOKED_AT * valleys[0].volume_mm3 and not _known(path, found):
+                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing)
+                    found += [groove] if groove is not None and not _known(groove.root, found) else []
+            if len(found) > before:
+                cluttered = cluttered or look > 0
+                break
+    return sorted(found, key=lambda groove: -groove.volume_mm3), cluttered
 
 
 def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:

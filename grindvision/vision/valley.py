@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,17 +69,22 @@ class _Piece:
 
 def find_valleys(
     points: Floats, T_field_cloud: Floats, spacing_mm: float, radius_mm: float | None = None
-) -> tuple[list[Valley], HeightField | None]:
+) -> Iterator[tuple[list[Valley], HeightField]]:
     """Valleys of a cloud (N, 3) seen along z of the field frame, largest volume first, and the raster they refer to.
+
+    One pair per disc under which there are any: first the smallest disc that fills the largest valley, then the smaller
+    ones, smallest first, for callers that find no groove under the first: in a cluttered scene the largest valley is a
+    gap between two things.
 
     Args:
         points: finite points in mm.
         T_field_cloud: frame whose z axis is the viewing direction.
         spacing_mm: typical distance of neighbouring points.
         radius_mm: radius of the closing's disc, more than half the groove's width; by default it doubles from eight
-            spacings on and the smallest that fills the valley is kept.
+            spacings on.
     """
-    best: tuple[float, list[_Piece], HeightField, Floats, Floats] | None = None
+    looks: list[tuple[list[_Piece], HeightField, Floats, Floats]] = []
+    first, most = 0, 0.0
     for radius in [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm):
         cell = max(1.2 * spacing_mm, radius / CELLS_PER_RADIUS)
         field = rasterise(points, T_field_cloud, cell)
@@ -86,20 +92,20 @@ def find_valleys(
         depth = np.nan_to_num(surface - smoothed(field, SMOOTHING_SHARE * radius))
         pieces = _pieces(depth, field)
         volume = max((piece.volume_mm3 for piece in pieces), default=0.0)
-        if volume > 0 and (best is None or best[0] < ENOUGH_VOLUME * volume):
-            best = volume, pieces, field, surface, depth
-    if best is None:
-        return [], None
-    _, pieces, field, surface, depth = best
-    valleys = []
-    for piece in pieces:
-        path = _path(piece, surface, depth, field)
-        valleys.append(Valley(piece.cells, path, piece.depth_mm, piece.width_mm, piece.volume_mm3))
-        for arm in _arms(piece, path, depth, field):
-            path = _path(arm, surface, depth, field)
-            valleys.append(Valley(arm.cells, path, arm.depth_mm, arm.width_mm, arm.volume_mm3))
-    valleys.sort(key=lambda valley: -valley.volume_mm3)
-    return valleys, field
+        if volume > 0:
+            looks.append((pieces, field, surface, depth))
+            if most < ENOUGH_VOLUME * volume:
+                first, most = len(looks) - 1, volume
+    for pieces, field, surface, depth in (*looks[first : first + 1], *looks[:first]):
+        valleys = []
+        for piece in pieces:
+            path = _path(piece, surface, depth, field)
+            valleys.append(Valley(piece.cells, path, piece.depth_mm, piece.width_mm, piece.volume_mm3))
+            for arm in _arms(piece, path, depth, field):
+                path = _path(arm, surface, depth, field)
+                valleys.append(Valley(arm.cells, path, arm.depth_mm, arm.width_mm, arm.volume_mm3))
+        valleys.sort(key=lambda valley: -valley.volume_mm3)
+        yield valleys, field
 
 
 def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[float]:

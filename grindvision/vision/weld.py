@@ -72,7 +72,7 @@ def trace_weld(
         NoGrooveError: there is no groove.
 
     Warns:
-        GrindvisionWarning: the groove lies partly outside the cloud.
+        GrindvisionWarning: the groove lies partly outside the cloud; the scene holds larger hollows that are no grooves.
     """
     if variant not in VARIANTS:
         raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
@@ -91,6 +91,13 @@ def trace_weld(
         labels, grooves, spacing = detected.labels, detected.grooves, detected.spacing_mm
         left_out = detected.left_out
         paths = tuple(root_path(groove, waypoints) for groove in grooves)
+        if detected.cluttered:
+            warnings.warn(
+                "the largest hollows of the scene are gaps between things, no grooves: see in the picture that the path"
+                " lies in the groove, else crop the cloud to the part",
+                GrindvisionWarning,
+                stacklevel=2,
+            )
         for number, groove in enumerate(grooves, start=1):
             if groove.edges_seen < BOTH_SIDES_SHARE:
                 warnings.warn(
