@@ -8,7 +8,13 @@ from scipy.spatial import cKDTree
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
 from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
-from grindvision.vision.normals import estimate_normals, guess_viewpoint, least_spread, orient_by_neighbours
+from grindvision.vision.normals import (
+    estimate_normals,
+    guess_viewpoint,
+    least_spread,
+    orient_by_neighbours,
+    seen_along,
+)
 from grindvision.vision.surfels import build_surfels, surface_area
 
 
@@ -112,6 +118,41 @@ def test_a_flat_part_in_the_base_frame_faces_up_and_is_not_seen_edge_on(rng):
     assert guess_viewpoint(plate) is not None
     assert guess_viewpoint(plate, normals) is None
     assert guess_viewpoint(plate + [0, 0, 400.0], normals) is not None
+
+
+@pytest.fixture
+def folded_scan():
+    """A ball over a bowl, two pieces that do not touch, as a scanner at the origin, 800 mm above, sees them."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-90, 90, 3.0), np.arange(-90, 90, 3.0)))
+    away = np.hypot(x, y)
+    ball, bowl = np.sqrt(np.maximum(45**2 - away**2, 0)), (away / 90) ** 2 * 60 - 90
+    kept = (away < 42) | ((away > 48) & (away < 90))
+    return np.column_stack([x, -y, 800 - np.where(away < 42, ball, bowl)])[kept]
+
+
+def test_without_a_viewpoint_all_normals_of_a_scan_face_one_side(folded_scan, rng):
+    """However deep its folds and gaps: each piece for itself, bulging, would have the ball and the bowl disagree."""
+    seen = estimate_normals(folded_scan, 8.0, 40, np.zeros(3))
+    for _ in range(5):
+        turn, shift = random_rotation(rng), rng.uniform(-50, 50, 3)
+        guessed = estimate_normals((folded_scan - [0, 0, 800]) @ turn.T + shift, 8.0, 40)
+        same = ((guessed @ turn) * seen).sum(axis=1) > 0
+        assert max(same.mean(), 1 - same.mean()) > 0.97
+
+
+def test_an_origin_beside_the_line_of_sight_is_no_scanner(folded_scan):
+    normals = estimate_normals(folded_scan, 8.0, 40, np.zeros(3))
+    assert guess_viewpoint(folded_scan, normals) is not None
+    for side in ([500, 0, 0], [0, -400, 100], [-300, 300, 50]):
+        assert guess_viewpoint(folded_scan - [0, 0, 800] - side, normals) is None
+
+
+def test_a_whole_model_is_not_seen_at_one_glance(rng):
+    sphere = rng.standard_normal((4000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    assert seen_along(50 * sphere, sphere, 6.0) is None
+    plate = np.column_stack([rng.uniform(-90, 90, (4000, 2)), np.repeat([0.0, 12.0], 2000)])
+    assert seen_along(plate, np.tile([0.0, 0, 1], (4000, 1)), 8.0) is None
 
 
 def test_the_viewpoint_is_guessed_only_where_it_can_be():

@@ -15,6 +15,15 @@ Floats = NDArray[np.float64]
 COS_EDGE_ON = float(np.cos(np.radians(75)))
 """Cosine of the angle between normal and ray from which on scanners see next to nothing."""
 
+MOST_HIDDEN = 0.25
+"""Seen from its scanner, at most this share of a scan's points lies over or under others of it."""
+
+GLANCE_POINTS = 2000
+"""So many points show well enough from where a cloud is seen at one glance."""
+
+LEAST_AGREEING = 0.7
+"""A scanner's place turns normals as ``seen_along`` does: agreeing less contrary share, about 25 degrees apart."""
+
 
 def estimate_normals(
     points: ArrayLike, radius_mm: float, most: int | None = None, viewpoint_mm: ArrayLike | None = None
@@ -26,7 +35,8 @@ def estimate_normals(
         radius_mm: neighbourhood radius.
         most: take only so many nearest neighbours.
         viewpoint_mm: the scanner (3,), in the cloud's frame; normals are turned towards it. Left out, they are turned
-            by ``orient_by_neighbours``.
+            to the side from which the cloud can be seen at one glance (``seen_along``), or, where there is none, by
+            ``orient_by_neighbours``.
 
     A point with fewer than three neighbours gets the normal (0, 0, 0).
     """
@@ -34,7 +44,10 @@ def estimate_normals(
     around = within_radius(build_cells(points, radius_mm), points, radius_mm, most)
     normals = _plane_normals(points, around.starts, around.indices)
     if viewpoint_mm is None:
-        return orient_by_neighbours(points, normals, radius_mm)
+        direction = seen_along(points, normals, radius_mm)
+        if direction is None:
+            return orient_by_neighbours(points, normals, radius_mm)
+        return np.where((normals @ direction < 0)[:, None], -normals, normals)
     return orient_to_viewpoint(points, normals, viewpoint_mm)
 
 
@@ -56,11 +69,54 @@ def orient_by_neighbours(points: ArrayLike, normals: ArrayLike, radius_mm: float
     return _propagated(points, normals, around.starts, around.indices)
 
 
+def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions: int = 200) -> Floats | None:
+    """Unit direction (3,) towards a far scanner that sees all points (N, 3) at one glance; None where there is none.
+
+    A single scan is one layer, seen from its scanner, and its normals all face it, however deep its folds and gaps are.
+    Of many directions the one is taken from which the points cover most cells; None if from there more than
+    ``MOST_HIDDEN`` of them lie over or under others: whole models, scans merged from several views. Which of its two
+    ends is the outside is told as in ``orient_by_neighbours``.
+
+    Args:
+        normals: (N, 3) of any sign.
+        cell_mm: cell edge, some point distances.
+    """
+    points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
+    away = points - points.mean(axis=0)
+
+    def cells(direction: Floats) -> NDArray[np.int64]:
+        across = np.linalg.svd(direction[None])[2][1:]
+        places = np.floor(away @ across.T / cell_mm).astype(np.int64)
+        return places @ np.array([1 << 32, 1])
+
+    height = (np.arange(directions) + 0.5) / directions
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(directions)
+    flat = np.sqrt(1 - height**2)
+    half_sphere = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    direction = max(half_sphere, key=lambda along: len(np.unique(cells(along))))
+    _, cell = np.unique(cells(direction), return_inverse=True)
+    depth = away @ direction
+    facing = np.abs(normals @ direction)
+    steepness = np.sqrt(1 - np.minimum(facing, 1) ** 2) / np.maximum(facing, 1e-3)
+    hidden = np.zeros(len(points), dtype=bool)
+    for order in (np.lexsort((depth, cell)), np.lexsort((-depth, cell))):
+        end = order[np.searchsorted(cell[order], np.arange(cell.max() + 1))][cell]
+        explained = cell_mm * (0.6 + 1.2 * np.maximum(steepness, steepness[end]))
+        hidden |= np.abs(depth - depth[end]) > explained
+    if hidden.mean() > MOST_HIDDEN:
+        return None
+    turned = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
+    bulge = float((turned * away).sum())
+    nearly_flat = abs(bulge) <= 0.1 * np.linalg.norm(away, axis=1).sum()
+    return direction if (turned[:, 2].sum() if nearly_flat else bulge) >= 0 else -direction
+
+
 def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floats | None:
     """The origin, when it stands as far off the cloud as a scanner would (half the cloud's diagonal); otherwise None.
 
     Clouds that come in the scanner's own frame have the scanner at the origin; clouds in another frame do not tell.
-    With ``normals`` (N, 3) of any sign, an origin from which half the surface is seen edge-on is no scanner either.
+    With ``normals`` (N, 3) of any sign, an origin from which half the surface is seen edge-on is no scanner either, nor
+    one towards which other normals point than to the side from which the cloud is seen at one glance (``seen_along``).
     """
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
@@ -69,11 +125,15 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
     gap = np.maximum(np.maximum(low, -high), 0)
     if np.linalg.norm(gap) <= 0.5 * np.linalg.norm(high - low):
         return None
-    if (
-        normals is not None
-        and np.median(np.abs((points * normals).sum(axis=1)) / np.linalg.norm(points, axis=1)) < COS_EDGE_ON
-    ):
-        return None
+    if normals is not None:
+        every = -(-len(points) // GLANCE_POINTS)
+        places, facing = points[::every], normals[::every]
+        towards = -(places * facing).sum(axis=1)
+        if np.median(np.abs(towards) / np.linalg.norm(places, axis=1)) < COS_EDGE_ON:
+            return None
+        direction = seen_along(places, facing, 1.5 * float(np.linalg.norm(high - low)) / np.sqrt(len(places)), 100)
+        if direction is None or abs(np.mean(np.sign(towards * (facing @ direction)))) < LEAST_AGREEING:
+            return None
     return np.zeros(3)
 
 

@@ -72,7 +72,7 @@ def trace_weld(
         NoGrooveError: there is no groove.
 
     Warns:
-        GrindvisionWarning: the groove lies partly outside the cloud; the scene holds larger hollows that are no grooves.
+        GrindvisionWarning: the groove lies partly outside the cloud; larger hollows in the scene are no grooves.
     """
     if variant not in VARIANTS:
         raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
