@@ -294,6 +294,20 @@ def test_a_tracked_arm_needs_neither_labels_nor_scanner_columns(tmp_path, rng):
         read_measurements(tmp_path / "m.csv", 4, {"q1": "joint 1"})
 
 
+def test_a_pose_visited_again_counts_as_one_pose(tmp_path, rng):
+    """Its readings share the arm's error there: held out one by one, they would flatter the result."""
+    made = rig(er3a(), rng, rows=20, on_tool=True).measurements
+    order = rng.permutation(60) % 20
+    again = replace(made.rows(order), q_rad=made.q_rad[order] + rng.uniform(-4e-5, 4e-5, (60, 4)))
+    table = as_table(again, split=False).drop(columns=["pose", "sphere", "sx_mm", "sy_mm", "sz_mm"])
+    table.to_csv(tmp_path / "m.csv", index=False)
+    found = read_measurements(tmp_path / "m.csv", 4)
+    assert all(len(set(labels)) == 20 for labels in (found.pose, found.sphere))
+    assert ((found.pose[:, None] == found.pose) == (order[:, None] == order)).all()
+    drawn = found.drawn(31, rng).train
+    assert all(len(set(drawn[order == pose])) == 1 for pose in range(20))
+
+
 def test_rows_drawn_to_train_keep_poses_together(rng):
     measurements = rig(er3a(), rng, rows=60).measurements
     pose = np.repeat(np.arange(20), 3).astype(str)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import column_names, read_table
@@ -18,6 +19,9 @@ Flags = NDArray[np.bool_]
 
 #: Optional columns of a measurement file: the covariance of the sphere's centre in the scanner's frame.
 COVARIANCE_COLUMNS = ("sxx_mm2", "sxy_mm2", "sxz_mm2", "syy_mm2", "syz_mm2", "szz_mm2")
+
+#: Joint angles that differ by less (rad) are one pose, visited again: 0.01 deg, what a controller repeats to.
+SAME_POSE_RAD = 2e-4
 
 JOINT = re.compile(r"q(\d+)_(?:rad|deg)")
 KNOWN = re.compile(rf"{JOINT.pattern}|[sb][xyz]_m?m|pose|sphere|split|" + "|".join(COVARIANCE_COLUMNS))
@@ -132,7 +136,8 @@ def read_measurements(
     """Read ``pose,sphere,q1_rad..qN_rad,sx_mm..sz_mm,bx_mm..bz_mm[,split]`` for an arm of ``joints`` joints.
 
     Angles may be given in degrees (``q1_deg``), lengths in metres (``bx_m``). Where no ``s`` column stands, the
-    tracker's reflector sits on the tool. ``pose`` and ``sphere`` default to the row's number. Six further columns
+    tracker's reflector sits on the tool. Left out, ``pose`` is the number of the first row with the same joint angles
+    and ``sphere`` is ``pose``, so that a pose visited again is held out as one. Six further columns
     ``COVARIANCE_COLUMNS`` are used where present. Without ``split`` every row is a training row.
 
     Args:
@@ -169,17 +174,30 @@ def read_measurements(
     table = read_table(path, (*angles, *(() if on_tool else seen), *measured, *covariances), texts, columns)
     labels = {name: table[name].astype(str).to_numpy(dtype=str) for name in texts}
     covariance = table[covariances].to_numpy(dtype=float) if covariances else None
+    q_rad = table[angles].to_numpy(dtype=float)
+    pose = labels.get("pose", first_visits(q_rad).astype(str))
     return Measurements(
-        table[angles].to_numpy(dtype=float),
+        q_rad,
         np.zeros((len(table), 3)) if on_tool else table[seen].to_numpy(dtype=float),
         table[measured].to_numpy(dtype=float),
-        pose=labels.get("pose"),
-        sphere=labels.get("sphere"),
+        pose=pose,
+        sphere=labels.get("sphere", pose),
         train=_train_rows(path, labels["split"]) if "split" in labels else None,
         scanner_covariance_mm2=(
             None if covariance is None else covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         ),
     )
+
+
+def first_visits(q_rad: ArrayLike) -> NDArray[np.int64]:
+    """For every row of joint angles (M, n) the first row that has them too, within ``SAME_POSE_RAD``."""
+    q = np.asarray(q_rad, dtype=float)
+    tree, first = cKDTree(q), np.full(len(q), -1)
+    for row in range(len(q)):
+        if first[row] < 0:
+            near = np.array(tree.query_ball_point(q[row], SAME_POSE_RAD, p=np.inf))
+            first[near[first[near] < 0]] = row
+    return first
 
 
 def _train_rows(path: str | Path, split: NDArray[np.str_]) -> Flags:
