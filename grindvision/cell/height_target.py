@@ -45,9 +45,10 @@ def height_target(position_mm: ArrayLike = (0.0, 0.0), height_mm: float = HEIGHT
     return assembled([bench.solid(), block.solid()])
 
 
-def flat_plate() -> Solid:
-    """A flat plate of 300 x 240 mm, its face at z = 0."""
-    return box("plate", [-150, -120, -10], [150, 120, 0]).solid()
+def flat_plate(length_mm: float = 300.0, width_mm: float = 240.0) -> Solid:
+    """A flat plate, its face at z = 0 and centred at the origin."""
+    x, y = length_mm / 2, width_mm / 2
+    return box("plate", [-x, -y, -10], [x, y, 0]).solid()
 
 
 def height_sighting(scanner: Scanner, position_mm: ArrayLike, every: int = 1, height_mm: float = HEIGHT_MM) -> Sighting:

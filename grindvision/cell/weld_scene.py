@@ -30,10 +30,11 @@ class WeldScene:
 
     ``points`` (N, 3); ``labels`` (N,) true on the groove's walls and root; ``root_mm``, ``tangents``, ``normals`` (K,
     3) of the part of the root line that the camera sees, normals out of the groove. ``scan`` holds the pixels and true
-    points, its world frame is the piece's frame.
+    points, its world frame is the piece's frame; ``camera`` is the instrument that took it.
     """
 
     piece: WeldPiece
+    camera: Scanner
     scan: Scan
     labels: NDArray[np.bool_]
     root_mm: Floats
@@ -82,6 +83,7 @@ def weld_scene(
     T_camera_piece = inverse(pose)
     return WeldScene(
         piece,
+        camera,
         scan,
         scan.on(GROOVE),
         move_points(T_camera_piece, piece.root_mm[seen]),
