@@ -9,8 +9,8 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
@@ -71,8 +71,7 @@ class FieldCorrection:
     def _interpolated(self, place: Floats) -> Floats:
         intervals = np.subtract(self.error_grid_mm.shape, 1)
         per_unit = intervals / np.where(intervals > 0, self.high - self.low, 1.0)
-        at = (place - self.low[:, None]) * per_unit[:, None]
-        return map_coordinates(self.error_grid_mm, at, order=1, mode="nearest")
+        return _trilinear(place, self.error_grid_mm, self.low, per_unit)
 
     def __str__(self) -> str:
         rms = np.sqrt(np.mean(self.error_grid_mm**2))
@@ -270,13 +269,37 @@ def _parallel_planes(means: Floats, seen: NDArray[np.bool_], steps: Floats, orde
         stands = float((cloud[mask] @ normal).mean())
         if abs(stands - offset - step) > DOUBT_MM + DOUBT_SHARE * np.abs(steps).max():
             raise InputError(
-                f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step of {step:g};"
+                f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step {step:g};"
                 " check the order, sign and unit of the steps"
             )
         tilt = np.degrees(vector_angle(own, normal))
         if tilt > DOUBT_TILT_DEG:
             raise InputError(f"plate {k + 1} is tilted by {tilt:.1f} deg against the others; only shift it")
     return normal, offset
+
+
+@njit(cache=True, nogil=True)
+def _trilinear(place, grid, low, per_unit):
+    """Values (N,) of a regular grid at places (3, N), those beyond its rim taken to the rim."""
+    values = np.empty(place.shape[1])
+    cell = np.empty(3, np.int64)
+    share = np.empty(3)
+    for n in range(place.shape[1]):
+        for axis in range(3):
+            last = grid.shape[axis] - 1
+            at = (place[axis, n] - low[axis]) * per_unit[axis]
+            at = min(at, float(last)) if at > 0.0 else 0.0
+            cell[axis] = min(int(at), max(last - 1, 0))
+            share[axis] = at - cell[axis]
+        i, j, k = cell
+        a, b, c = min(i + 1, grid.shape[0] - 1), min(j + 1, grid.shape[1] - 1), min(k + 1, grid.shape[2] - 1)
+        u, v, w = share
+        values[n] = (1 - u) * (
+            (1 - v) * ((1 - w) * grid[i, j, k] + w * grid[i, j, c]) + v * ((1 - w) * grid[i, b, k] + w * grid[i, b, c])
+        ) + u * (
+            (1 - v) * ((1 - w) * grid[a, j, k] + w * grid[a, j, c]) + v * ((1 - w) * grid[a, b, k] + w * grid[a, b, c])
+        )
+    return values
 
 
 def _at_measured(true: FieldCorrection, fine: Sequence[Floats]) -> FieldCorrection:

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
 from scipy.sparse.linalg import LinearOperator, cg
 
 Floats = NDArray[np.float64]
 
-#: Stiffnesses that are tried, in units of the cubed spacing of an axis.
-TRIED = 10.0 ** np.arange(-4.0, 6.0)
+#: Decades of stiffness that are searched, in units of the cubed spacing of an axis.
+SEARCHED = (-4.0, 5.0)
 
 
 def smooth_grid(values: Floats, weights: Floats, nodes: Sequence[Floats], stiffness: Floats) -> Floats:
@@ -57,16 +58,20 @@ def fitting_stiffness(values: Floats, weights: Floats, nodes: Sequence[Floats]) 
     vectors, bends = _bends(nodes)
     across, along = sum(bends[:-1]), bends[-1]
     scale = np.array([np.diff(axis).mean() ** 3 if len(axis) > 1 else 0.0 for axis in nodes])
-    stiffness = TRIED[-1] * scale
+    stiffness = 10.0 ** SEARCHED[1] * scale
     for _ in range(2):
         filled = weights * values + (1 - weights) * smooth_grid(values, weights, nodes, stiffness)
         power = on_axes(_turned(vectors), filled) ** 2
-        scores = {}
-        for first in TRIED * scale[0]:
-            for last in TRIED * scale[-1] if along.any() else [0.0]:
-                lost = 1 - 1 / (1 + first * across + last * along)
-                scores[first, last] = float((lost**2 * power).sum() / lost.mean() ** 2)
-        first, last = min(scores, key=scores.__getitem__)
+
+        def score(decades: Floats, power: Floats = power) -> float:
+            first, last = 10.0**decades * scale[[0, -1]]
+            penalty = first * across + last * along
+            lost = penalty / (1 + penalty)
+            return np.log((lost**2 * power).sum()) - 2 * np.log(lost.mean())
+
+        search = {"xatol": 0.05, "fatol": 1e-6, "initial_simplex": [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0]]}
+        decades = minimize(score, [1.0, 1.0], method="Nelder-Mead", bounds=[SEARCHED] * 2, options=search).x
+        first, last = 10.0**decades * scale[[0, -1]]
         stiffness = np.array([*[first] * (len(nodes) - 1), last])
     return stiffness
 
