@@ -21,7 +21,7 @@ from grindvision.clouds import write_ply
 from tests.calibration_rig import er3a, rig
 from tests.test_calibration_input import as_table
 
-TOOLS = ("detect", "groove", "calibrate", "simulate")
+TOOLS = ("detect", "groove", "calibrate", "calibrate-field", "simulate")
 
 
 @pytest.fixture
@@ -188,3 +188,43 @@ def test_an_arm_from_a_table_carries_the_torch(tmp_path, capsys):
     (tmp_path / "bare.csv").write_text("joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\nJ1,0,0,300,0,0\n")
     code, _, error = run(capsys, *words, tmp_path / "bare.csv")
     assert code == 2 and "column lower_rad, upper_rad, speed_rad_s missing" in error
+
+
+def test_a_calibrated_field_is_used_by_both_doors_for_clouds(tmp_path, capsys, rng):
+    def bend(points):
+        return points * (1 + 0.004 * np.cos(points[:, :1] / 30))
+
+    u, v = (part.ravel() for part in np.meshgrid(np.linspace(-0.3, 0.3, 150), np.linspace(-0.2, 0.2, 100)))
+    rays = np.column_stack([u, v, np.ones(u.size)])
+    for k, distance in enumerate((440.0, 460.0, 480.0)):
+        write_ply(tmp_path / f"p{k}.ply", np.vstack([np.zeros(3), bend(rays * distance)]))
+    plates = [tmp_path / f"p{k}.ply" for k in range(3)]
+    steps = ("--steps-mm", 0, 20, 40, "--distance-mm", 440)
+    code, text, error = run(capsys, "calibrate-field", *plates, *steps, "-o", tmp_path / "camera", "--json")
+    report = json.loads(text)
+    assert code == 0 and error == "" and len(report["inputs"]) == 3
+    assert report["held_out_rms_mm"]["after"] < 0.2 * report["held_out_rms_mm"]["before"]
+    assert report["files"] == ["field.npz", "parameters.toml", "report.png", "report.json"]
+
+    true, _ = straight_groove(rng)
+    true = true + [0, 0, 460 - true[:, 2].mean()]
+    write_ply(tmp_path / "true.ply", true)
+    write_ply(tmp_path / "bent.ply", bend(true))
+    field = ("--field-correction", tmp_path / "camera" / "field.npz")
+    deep = {}
+    for name, more in (("true", ()), ("bent", ()), ("bent", field)):
+        out = tmp_path / f"{name}{len(more)}"
+        assert run(capsys, "groove", tmp_path / f"{name}.ply", *more, "-o", out)[0] == 0
+        deep[out.name] = pd.read_csv(out / "trajectory.csv")["z_mm"].mean()
+    assert abs(deep["bent2"] - deep["true0"]) < 0.1 < abs(deep["bent0"] - deep["true0"])
+
+    for door, clouds, option in (
+        ("groove", [tmp_path / "bent.ply"], "--viewpoint"),
+        ("detect", [tmp_path / "bent.ply", tmp_path / "true.ply"], "--test-viewpoint"),
+    ):
+        code, _, error = run(capsys, door, *clouds, *field, option, 0, 0, 900, "-o", tmp_path / "none")
+        assert code == 2 and "scanner's own frame" in error
+    code, _, error = run(capsys, "calibrate-field", *plates, "-o", tmp_path / "none")
+    assert code == 2 and "--steps-mm is missing" in error
+    code, _, error = run(capsys, "calibrate-field", *plates[:2], "--steps-mm", 0, 20, "-o", tmp_path / "two")
+    assert code == 0 and "scan at least three" in error

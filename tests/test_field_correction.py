@@ -1,4 +1,4 @@
-"""Field calibration on flat plates: what it takes off, what it cannot know, its file, and the smoothing spline in it."""
+"""Field calibration on flat plates: what it takes off, what it cannot know, its file, and its smoothing spline."""
 
 from dataclasses import replace
 
@@ -178,7 +178,7 @@ def test_bad_input_is_named():
         calibrate_field(clouds, -STEPS_MM)
     with pytest.raises(InputError, match="sign and unit"):
         calibrate_field(clouds, STEPS_MM / 10)
-    with pytest.raises(InputError, match="is tilted by [35]"):
+    with pytest.raises(InputError, match="is tilted by"):
         calibrate_field([clouds[0], shown(440.0, waves, normal=[0.1, 0, np.sqrt(0.99)])], [0.0, 20.0])
     with pytest.raises(InputError, match="distance_mm is 42"):
         calibrate_field(clouds, STEPS_MM, 42.0)

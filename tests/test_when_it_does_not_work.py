@@ -238,6 +238,43 @@ def at_the_rim(folder):
     return seam(folder, points[grid()[:, 1] < 4])
 
 
+def flat_plates(folder: Path, steps: np.ndarray, *, bent: float = 0.0) -> list[object]:
+    """Words of ``calibrate-field`` for three plates 20 mm apart; ``bent`` tilts the last."""
+    u, v = (part.ravel() for part in np.meshgrid(np.linspace(-0.3, 0.3, 40), np.linspace(-0.2, 0.2, 30)))
+    for k, distance in enumerate((400.0, 420.0, 440.0)):
+        depth = distance / (1 - bent * (k == 2) * u)
+        write_ply(folder / f"plate{k}.ply", np.column_stack([u, v, np.ones(u.size)]) * depth[:, None])
+    return ["calibrate-field", *(folder / f"plate{k}.ply" for k in range(3)), "--steps-mm", *steps]
+
+
+def field(folder: Path) -> Path:
+    """A field correction, from 400 to 440 mm."""
+    assert main([*map(str, flat_plates(folder, np.array([0, 20, 40]))), "-o", str(folder / "camera")]) == 0
+    return folder / "camera" / "field.npz"
+
+
+@mistake("The steps contradict the plates")
+def towards_the_scanner(folder):
+    return flat_plates(folder, np.array([0, -20, -40]))
+
+
+@mistake("The plate was tilted between the scans")
+def turned(folder):
+    return flat_plates(folder, np.array([0, 20, 40]), bent=0.12)
+
+
+@mistake("Work outside the calibrated volume")
+def farther_away(folder):
+    points = straight_groove(np.random.default_rng(1))[0]
+    return seam(folder, points + [0, 0, 300.0], "--field-correction", field(folder))
+
+
+@mistake("The cloud is not in the scanner's frame")
+def on_the_table(folder):
+    points = straight_groove(np.random.default_rng(1))[0]
+    return seam(folder, points - points.mean(axis=0), "--field-correction", field(folder))
+
+
 @mistake("A way point out of reach")
 def far_away(folder):
     return welded(folder, rigid(ABOVE[:3, :3], [810.0, 0.0, 450.0]))

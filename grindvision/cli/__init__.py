@@ -23,7 +23,8 @@ COMMANDS = {
     "detect": "two scans in, grinding path out",
     "groove": "a scan in, weld groove and torch trajectory out",
     "calibrate": "sphere measurements in, calibrated arm and scanner out",
-    "simulate": "make inputs for the three above, with the truth beside them",
+    "calibrate-field": "scans of a flat plate in, the depth error of the scanner out",
+    "simulate": "make inputs for detect, groove and calibrate, with the truth beside them",
     "study": "run a study of the book over many cases, here or on a Dask cluster",
 }
 
@@ -75,7 +76,7 @@ def _run(name: str, words: list[str]) -> int:
         text = summary[0].upper() + summary[1:] + "."
         command = commands.add_parser(known, help=summary, description=text, allow_abbrev=False)
         if known == name:
-            module = importlib.import_module(f"grindvision.cli.{known}")
+            module = importlib.import_module(f"grindvision.cli.{known.replace('-', '_')}")
             module.add_arguments(command)
             at = words.index(name) + 1
             words = words[:at] + with_parameter_file(command, words[at:])

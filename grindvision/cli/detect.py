@@ -9,8 +9,11 @@ from grindvision.cli.parameters import check_count, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
+    add_field_argument,
     add_unit_argument,
     add_viewpoint_argument,
+    corrected,
+    read_correction,
     read_pose,
     read_scans,
     rows_text,
@@ -53,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST")
+    add_field_argument(scans)
     path = parser.add_argument_group("path")
     path.add_argument("--points", type=whole, default=6, metavar="N", help="path points per bead (default: 6)")
     path.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
@@ -70,6 +74,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.geometry import move_points, turn_vectors
     from grindvision.vision.detection import STAGES, DetectOptions, detect
 
+    field = read_correction(options.field_correction, options.sample_viewpoint, options.test_viewpoint)
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
@@ -77,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("read"):
             clouds = read_scans(paths, options.unit)
             scans = [finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True)]
+            if field is not None:
+                scans = [corrected(field, scan, path) for scan, path in zip(scans, paths, strict=True)]
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
         found = detect(*scans, settings, work.finished)
         with work.stage("write"):

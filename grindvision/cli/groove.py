@@ -10,8 +10,11 @@ from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
+    add_field_argument,
     add_unit_argument,
     add_viewpoint_argument,
+    corrected,
+    read_correction,
     read_scans,
     rows_text,
     where_it_stood,
@@ -43,6 +46,7 @@ exit code: 0 done, 2 the input cannot be used or shows no groove (one line says 
 examples:
   grindvision groove plate.pcd -o weld --unit m
   grindvision groove plate.ply -o weld --waypoints 80 --width 12
+  grindvision groove plate.ply -o weld --field-correction camera/field.npz
   grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
 """
 
@@ -54,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scan.add_argument("cloud", metavar="CLOUD", help=f"scan of the workpiece ({CLOUD_FORMATS})")
     add_unit_argument(scan)
     add_viewpoint_argument(scan, "--viewpoint", "CLOUD")
+    add_field_argument(scan)
     groove = parser.add_argument_group("groove and path")
     groove.add_argument("--waypoints", type=whole, default=50, metavar="N", help="along each groove (default: 50)")
     groove.add_argument(
@@ -87,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.vision.weld import trace_weld
 
     job = robot_job(options)
+    field = read_correction(options.field_correction, options.viewpoint)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     outdated = ("trajectory_[0-9]*.csv", "program.csv", "program.json", "program.script")
     with Run(options, ("cloud",), libraries, 6 if job else 5, outdated) as work:
@@ -94,6 +100,8 @@ def run(options: argparse.Namespace) -> int:
             (cloud,) = read_scans((options.cloud,), options.unit)
             rows, (copies, originals) = usable_rows(cloud, options.cloud)
             points = cloud.points if rows.all() else cloud.points[rows]
+            if field is not None:
+                points = corrected(field, points, options.cloud)
         weld = trace_weld(points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels

@@ -135,7 +135,8 @@ class Run:
         with self.stage("hash"):
             text = parameters_text(self._options.command, parameters, plain(from_the_data))
             write_text(self.place / PARAMETERS, text)
-            inputs = [Path(getattr(self._options, name)) for name in self._inputs]
+            given = [getattr(self._options, name) for name in self._inputs]
+            inputs = [Path(path) for paths in given for path in ([paths] if isinstance(paths, str) else paths)]
             inputs += [Path(value) for value in parameters.values() if isinstance(value, str) and Path(value).is_file()]
             hashes = [{"name": path.name, "sha256": sha256(path)} for path in dict.fromkeys(inputs)]
         names = sorted({str(path.relative_to(self.place)) for path in self.place.rglob("*") if path.is_file()})

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.cli.parameters import number
-from grindvision.errors import FileError, UnitError
+from grindvision.errors import FileError, GrindvisionWarning, InputError, UnitError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
+    from grindvision.vision.field_correction import FieldCorrection
 
 CLOUD_FORMATS = "PLY, PCD, XYZ, ASC, TXT, PTS, CSV, NPY, NPZ, STL or OBJ"
 
 #: A scanner nearer to a robot's base than this (mm) is one whose pose is in metres.
 NEAREST_MM = 10.0
+
+#: Share of a scan outside the calibrated volume that is worth a word.
+MUCH_OUTSIDE = 0.1
 
 
 def add_unit_argument(group: argparse._ArgumentGroup) -> None:
@@ -41,6 +46,58 @@ def add_viewpoint_argument(group: argparse._ArgumentGroup, option: str, what: st
         help=f"where the scanner stood, mm, in the frame of {what} (default from the data: the origin if a scanner"
         " could have stood there, else both sides of the surface are tried)",
     )
+
+
+def add_field_argument(group: argparse._ArgumentGroup) -> None:
+    """``--field-correction``."""
+    group.add_argument(
+        "--field-correction",
+        metavar="FILE.npz",
+        help="take the scanner's own depth error off first, as `grindvision calibrate-field` learned it; for clouds in"
+        " the scanner's frame as it measured them",
+    )
+
+
+def read_correction(path: str | None, *viewpoints: Sequence[float] | None) -> FieldCorrection | None:
+    """The field correction of ``--field-correction``, if given.
+
+    Raises:
+        FileError: see ``read_field``. InputError: a viewpoint says that a cloud is not in the scanner's frame.
+    """
+    if path is None:
+        return None
+    if any(any(viewpoint or ()) for viewpoint in viewpoints):
+        raise InputError(
+            "--field-correction is for clouds in the scanner's own frame, where the viewpoint is 0 0 0; leave one out"
+        )
+    from grindvision.vision.field_correction import read_field
+
+    return read_field(path)
+
+
+def corrected(correction: FieldCorrection, points: np.ndarray, name: str) -> np.ndarray:
+    """Points (N, 3) without the scanner's depth error; points at the origin, pixels without a depth, stay there.
+
+    Raises:
+        InputError: points behind the scanner.
+
+    Warns:
+        GrindvisionWarning: many points outside the calibrated volume.
+    """
+    front = points[:, 2] > 0
+    if points[~front].any() or not front.any():
+        raise InputError(f"{name}: points with z <= 0 lie behind the scanner; --field-correction is for its own frame")
+    moved = points.copy()
+    moved[front] = correction.apply(points[front])
+    outside = 1 - correction.holds(points[front]).mean()
+    if outside > MUCH_OUTSIDE:
+        low, high = correction.low[2], correction.high[2]
+        text = (
+            f"{name}: {outside:.0%} of the points lie outside the volume that the plates calibrated ({low:.0f} to"
+            f" {high:.0f} mm deep) and are corrected as at its rim; scan plates there; or is it another scanner's?"
+        )
+        warnings.warn(text, GrindvisionWarning, stacklevel=2)
+    return moved
 
 
 def read_scans(paths: Sequence[str], unit: str | None) -> list[Cloud]:

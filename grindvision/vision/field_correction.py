@@ -232,7 +232,8 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
 
 
 def _without_strays(cloud: Floats, number: int) -> Floats:
-    """A plate's points (N, 3) without those that lie far off their plane."""
+    """A plate's points (N, 3) but those far off their plane and those at the origin, pixels without a depth."""
+    cloud = cloud[cloud.any(axis=1)]
     if (cloud[:, 2] <= 0).any():
         raise InputError(f"plate {number} has points behind the scanner (z <= 0); give them in the scanner frame")
     for _ in range(2):
