@@ -242,7 +242,7 @@ def flat_plates(folder: Path, steps: np.ndarray, *, bent: float = 0.0) -> list[o
     """Words of ``calibrate-field`` for three plates 20 mm apart; ``bent`` tilts the last."""
     u, v = (part.ravel() for part in np.meshgrid(np.linspace(-0.3, 0.3, 40), np.linspace(-0.2, 0.2, 30)))
     for k, distance in enumerate((400.0, 420.0, 440.0)):
-        depth = distance / (1 - bent * (k == 2) * u)
+        depth = distance / (1 - bent * (k == 2) * u) + 0.3 * np.sin(20 * u)
         write_ply(folder / f"plate{k}.ply", np.column_stack([u, v, np.ones(u.size)]) * depth[:, None])
     return ["calibrate-field", *(folder / f"plate{k}.ply" for k in range(3)), "--steps-mm", *steps]
 
