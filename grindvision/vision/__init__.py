@@ -12,6 +12,7 @@ _HOMES = {
     "bead_path": ("BeadPath", "trace_bead"),
     "detection": ("DetectOptions", "Detection", "detect"),
     "difference": ("Difference", "difference_paper", "find_difference"),
+    "field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
     "gfh_groove": ("GfhSettings", "find_groove_gfh"),
     "groove": ("DetectedGroove", "GrooveDetection", "find_grooves"),
     "icp": ("icp_generalised", "icp_planes", "icp_points"),

@@ -29,6 +29,9 @@ FINER = 2
 #: Points farther from their plate than this many standard deviations are not of the plate.
 STRAY = 6.0
 
+#: Points that are plenty for a plane.
+PLENTY = 20_000
+
 #: Plates may differ from what is said of them by this much, mm and share: more is a mistake, not a scanner's error.
 DOUBT_MM, DOUBT_SHARE, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
 
@@ -202,15 +205,10 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     fewest = min(len(cloud) for cloud in clouds)
     side = max(np.sqrt(np.prod(high - low) * POINTS_PER_BIN / fewest), (high - low).max() / MOST_BINS)
     shape = np.maximum(np.rint((high - low) / side), 3).astype(int)
-    counts, rays, depths = (
-        np.stack(parts)
-        for parts in zip(
-            *(_bin_means(part, cloud[:, 2], low, high, shape) for part, cloud in zip(slopes, clouds, strict=True)),
-            strict=True,
-        )
-    )
+    bins = [_bin_means(part, cloud[:, 2], low, high, shape) for part, cloud in zip(slopes, clouds, strict=True)]
+    counts, rays, depths = (np.stack(parts) for parts in zip(*bins, strict=True))
     seen = counts > 0
-    normal, offset = _parallel_planes((rays * depths[..., None]), seen, steps[order], order)
+    normal, offset = _parallel_planes(rays * depths[..., None], seen, steps[order], order)
     first = offset if distance_mm is None else float(distance_mm)
     if not abs(first - offset) <= DOUBT_MM + DOUBT_SHARE * offset:
         raise InputError(f"distance_mm is {first:g}, but the first plate's points lie {offset:.1f} mm away; check both")
@@ -218,11 +216,9 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     error = np.where(seen, depths - at[:, None] / np.where(seen, rays @ normal, 1.0), 0.0)
     middle = float(at.mean())
     axes = [start + (np.arange(n) + 0.5) * (end - start) / n for n, start, end in zip(shape, low, high, strict=True)]
+    weights = np.minimum(counts / np.median(counts[seen]), 1.0)
     return _Plates(
-        *(
-            np.moveaxis(part.reshape(len(at), *shape), 0, 2)
-            for part in (error, np.minimum(counts / np.median(counts[seen]), 1.0))
-        ),
+        *(np.moveaxis(part.reshape(len(at), *shape), 0, 2) for part in (error, weights)),
         [axes[0] * middle, axes[1] * middle, at],
         normal,
         middle,
@@ -237,7 +233,7 @@ def _without_strays(cloud: Floats, number: int) -> Floats:
     if (cloud[:, 2] <= 0).any():
         raise InputError(f"plate {number} has points behind the scanner (z <= 0); give them in the scanner frame")
     for _ in range(2):
-        distance = fit_plane(cloud).distance(cloud)
+        distance = fit_plane(cloud[:: max(len(cloud) // PLENTY, 1)]).distance(cloud)
         distance -= np.median(distance)
         spread = 1.4826 * np.median(np.abs(distance))
         cloud = cloud[np.abs(distance) <= STRAY * spread + 1e-9]
