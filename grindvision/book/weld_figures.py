@@ -57,6 +57,7 @@ def draw_field(left: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
         left: see ``waypoints.depth_left``.
     """
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import MaxNLocator
 
     distances = np.unique(left["z_mm"])
     shown = left[left["z_mm"] == distances[len(distances) // 2]]
@@ -70,6 +71,7 @@ def draw_field(left: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
         rms = np.sqrt((shown[f"{name}_mm"] ** 2).mean())
         axis.set(title=f"{name}: {rms:.2f} mm rms", xlabel="x, mm", aspect="equal")
         axis.grid(visible=False)
+        axis.xaxis.set_major_locator(MaxNLocator(4))
     axes[0].set_ylabel("y, mm")
     fig.colorbar(image, ax=axes, label="depth error, mm", shrink=0.9)
     return fig, shown
