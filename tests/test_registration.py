@@ -16,9 +16,12 @@ from grindvision.geometry import (
 )
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.icp import icp_generalised, icp_planes, icp_points, solve_definite
+from grindvision.vision.icp import icp_generalised, icp_points
+from grindvision.vision.keypoints import most_similar
 from grindvision.vision.normals import orient_to_viewpoint
-from grindvision.vision.sac_ia import huber, most_similar, propose_poses, refine_pose, sac_ia_paper
+from grindvision.vision.plane_icp import icp_planes, solve_definite
+from grindvision.vision.proposals import propose_poses
+from grindvision.vision.sac_ia import huber, refine_pose, sac_ia_paper
 from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
 from grindvision.vision.verification import choose_pose
 

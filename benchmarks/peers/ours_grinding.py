@@ -9,8 +9,9 @@ from grindvision.clouds import read_cloud
 from grindvision.vision import detection
 from grindvision.vision.difference import find_difference
 from grindvision.vision.fpfh import compute_fpfh
-from grindvision.vision.icp import FineRegistration, icp_planes, icp_points
+from grindvision.vision.icp import FineRegistration, icp_points
 from grindvision.vision.normals import orient_to_viewpoint
+from grindvision.vision.plane_icp import icp_planes
 from grindvision.vision.scan import choose_resolution, coarser, prepare_pair
 from grindvision.vision.surfels import build_surfels
 from grindvision.vision.verification import choose_pose

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from grindvision.cell import GrindingScene
 from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_about
 from grindvision.vision import scan
-from grindvision.vision.sac_ia import Keypoints, propose_poses, sac_ia_paper
+from grindvision.vision.keypoints import Keypoints
+from grindvision.vision.proposals import propose_poses
+from grindvision.vision.sac_ia import sac_ia_paper
 
 Floats = NDArray[np.float64]
 

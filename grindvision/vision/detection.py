@@ -16,8 +16,9 @@ from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.doubts import check_same_unit, doubts, mirrored_refusal
-from grindvision.vision.icp import FineRegistration, icp_planes
-from grindvision.vision.sac_ia import propose_poses
+from grindvision.vision.icp import FineRegistration
+from grindvision.vision.plane_icp import icp_planes
+from grindvision.vision.proposals import propose_poses
 from grindvision.vision.scan import Scan, prepare_pair, reversed_scan
 from grindvision.vision.verification import VerifiedPose, choose_pose
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.geometry import inverse, move_points
 from grindvision.geometry.neighbours import build_cells, nearest
 from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
+from grindvision.vision.keypoints import Keypoints
 from grindvision.vision.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
-from grindvision.vision.sac_ia import Keypoints
 from grindvision.vision.surfels import Surfels, build_surfels, surface_area
 
 Floats = NDArray[np.float64]

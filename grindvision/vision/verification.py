@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from grindvision.errors import DegenerateError
 from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_axis, small_motion, turn_vectors
 from grindvision.geometry.neighbours import nearest
-from grindvision.vision.icp import FineRegistration, icp_planes
-from grindvision.vision.sac_ia import distinct_poses
+from grindvision.vision.icp import FineRegistration
+from grindvision.vision.plane_icp import icp_planes
+from grindvision.vision.proposals import distinct_poses
 from grindvision.vision.scan import Scan
 from grindvision.vision.surfels import Surfels
 
