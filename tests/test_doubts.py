@@ -30,7 +30,9 @@ def test_a_mirrored_scan_is_named(case, mirror, told):
         detect(case.sample, case.test @ mirror.T, options)
 
 
-def test_another_part_is_not_called_mirrored(case, rng):
+@pytest.mark.parametrize("seed", range(8))
+def test_another_part_is_not_called_mirrored(case, seed):
+    rng = np.random.default_rng(seed)
     plane = np.column_stack([rng.uniform(-60, 60, size=(20_000, 2)), rng.normal(scale=0.02, size=20_000) + 400])
     with pytest.raises(DegenerateError):
         detect(case.sample, plane)

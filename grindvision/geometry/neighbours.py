@@ -177,7 +177,7 @@ def assign_cells(points, origin, per_mm):
         done, count = _enter(points, done, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point)
         if done == len(points):
             return cell_of_point, keys[:count].copy(), table_keys, table_cells
-        more = np.empty(4 * len(keys), dtype=np.int64)
+        more = np.empty(2 * len(keys), dtype=np.int64)
         more[:count] = keys
         keys = more
         table_keys, table_cells = grown_table(keys, count, 2 * len(keys))

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
-from grindvision.geometry import inverse, move_points, rotation_about
+from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors
 from grindvision.geometry.neighbours import bounds
 from grindvision.vision.bending import block_covariance
 from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
-from grindvision.vision.scan import Scan, surface_in_frame
+from grindvision.vision.scan import Scan
 from grindvision.vision.verification import VerifiedPose
 
 Floats = NDArray[np.float64]
@@ -99,9 +99,10 @@ def relative_scale(
 
     Point-to-plane steps for shift, turn and scale from the registered pose, with Tukey's weights: beads do not count.
     """
-    good = surface_in_frame(sample.surfels, inverse(registration.T_target_source))
+    good, transform = sample.surfels, registration.T_target_source
     chosen = np.random.default_rng(0).permutation(len(test.surfels))[:surfels]
-    places, facing = test.surfels.points[chosen], test.surfels.normals[chosen]
+    places = move_points(transform, test.surfels.points[chosen])
+    facing = turn_vectors(transform, test.surfels.normals[chosen])
     scale, deviation = 1.0, np.inf
     for _ in range(steps):
         heights, normals, _ = heights_above(good, places, 2 * good.grid.size_mm)

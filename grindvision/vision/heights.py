@@ -21,10 +21,7 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
     where no surfel lies within ``most_mm`` or the point is beside the surface.
     """
     grid = good.grid
-    excess = np.maximum(good.roughness_mm**2 - good.noise_mm**2, 0)
-    doubt = good.noise_mm**2 / np.maximum(good.counts, 1) + 0.25 * excess
-    # a surfel is one row, and a cell's rows lie together: one line of the processor's cache each
-    planes = np.column_stack([grid.points, good.normals, good.counts, doubt])[grid.order]
+    planes = good.planes
     order = np.arange(len(planes))
 
     def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
@@ -43,7 +40,7 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
 
 @njit(cache=True, nogil=True)
 def _blended(queries, most, planes, order, starts, table_keys, table_cells, origin, per_mm):
-    """Heights, normals, variances; rows of ``planes``: mean, normal, number of points and variance of a surfel."""
+    """Heights, normals, variances; ``planes`` as ``Surfels`` has them."""
     number = len(queries)
     heights, variances = np.full(number, np.nan), np.zeros(number)
     blended = np.zeros((number, 3))

@@ -14,6 +14,12 @@ from grindvision.vision.surfels import Surfels
 
 Floats = NDArray[np.float64]
 
+BESIDE = 1.5
+"""Points farther along a surfel's plane than so many cells lie beside the surface."""
+
+LEAST_FACING = 0.7
+"""Least cosine of the angle between the normals of two surfaces that may be the same."""
+
 
 def icp_planes(
     source: ArrayLike,
@@ -43,15 +49,32 @@ def icp_planes(
     grid = target.grid
     most = 3 * grid.size_mm if most_mm is None else float(most_mm)
     transform, information, centre, errors, weight, pairs, converged = _plane_icp(
-        np.ascontiguousarray(source), normals, transform, most, 1.5 * grid.size_mm, float(least_scale_mm), iterations,
-        target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
-        1.0 / grid.size_mm,
+        np.ascontiguousarray(source), normals, transform, most, BESIDE * grid.size_mm, float(least_scale_mm),
+        iterations, target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
+        grid.origin_mm, 1.0 / grid.size_mm,
     )  # fmt: skip
     if pairs < 12:
         raise DegenerateError(f"only {pairs} points of the scans meet within {most:.3g} mm; they do not overlap there")
     transform = rigid(nearest_rotation(transform[:3, :3]), transform[:3, 3])
     rms = float(np.sqrt(errors[-1]))
     return registration_result(transform, rms, pairs / len(source), errors, converged, centre, information, weight, rms)
+
+
+def plane_residuals(
+    source: Floats, source_normals: Floats, target: Surfels, T_target_source: Floats, most_mm: float
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
+    ``most_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
+    grid, count = target.grid, len(source)
+    matches, moved = np.empty(count, dtype=np.int64), np.empty((count, 3))
+    residuals, facing = np.empty(count), np.empty(count)
+    _match(
+        source, source_normals, T_target_source, most_mm, BESIDE * grid.size_mm, target.normals, grid.points,
+        grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, moved, matches,
+        residuals, facing,
+    )  # fmt: skip
+    shown = matches >= 0
+    return np.where(shown, residuals, np.nan), shown & (facing > LEAST_FACING)
 
 
 @njit(cache=True, nogil=True)
@@ -73,14 +96,62 @@ def solve_definite(matrix, right):
 
 
 @njit(cache=True, nogil=True)
+def _match(
+    source, normals, transform, most, beside, target_normals, points, order, starts, table_keys, table_cells, origin,
+    per_mm, moved, matches, residuals, facing,
+):  # fmt: skip
+    """Move points (N, 3) with normals (N, 3) and find the plane of each: fill the moved points, the planes' indices, -1
+    where none is shown, distances along their normals and the cosines (N,) between the normals."""
+    m = transform
+    for p in range(len(source)):
+        s, n = source[p], normals[p]
+        x = m[0, 0] * s[0] + m[0, 1] * s[1] + m[0, 2] * s[2] + m[0, 3]
+        y = m[1, 0] * s[0] + m[1, 1] * s[1] + m[1, 2] * s[2] + m[1, 3]
+        z = m[2, 0] * s[0] + m[2, 1] * s[1] + m[2, 2] * s[2] + m[2, 3]
+        moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
+        matches[p] = -1
+        q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+        if q < 0:
+            continue
+        t = target_normals[q]
+        along = t[0] * (x - points[q, 0]) + t[1] * (y - points[q, 1]) + t[2] * (z - points[q, 2])
+        if squared - along * along >= beside * beside:
+            continue
+        matches[p], residuals[p] = q, along
+        facing[p] = 0.0
+        for k in range(3):
+            facing[p] += t[k] * (m[k, 0] * n[0] + m[k, 1] * n[1] + m[k, 2] * n[2])
+
+
+@njit(cache=True, nogil=True)
+def _turn_and_shift(transform, centre, step):
+    """Add a shift ``step[:3]`` and a rotation vector ``step[3:]`` about ``centre``, in place, and return its angle."""
+    angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    axis = step[3:] / max(angle, 1e-300)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for column in range(4):
+        x, y, z = transform[0, column], transform[1, column], transform[2, column]
+        if column == 3:
+            x, y, z = x - centre[0], y - centre[1], z - centre[2]
+        along = (1 - cosine) * (axis[0] * x + axis[1] * y + axis[2] * z)
+        transform[0, column] = cosine * x + along * axis[0] + sine * (axis[1] * z - axis[2] * y)
+        transform[1, column] = cosine * y + along * axis[1] + sine * (axis[2] * x - axis[0] * z)
+        transform[2, column] = cosine * z + along * axis[2] + sine * (axis[0] * y - axis[1] * x)
+    for k in range(3):
+        transform[k, 3] += centre[k] + step[k]
+    return angle
+
+
+@njit(cache=True, nogil=True)
 def _plane_icp(
     source, normals, transform, most, beside, least_scale, iterations,
     target_normals, points, order, starts, table_keys, table_cells, origin, per_mm,
 ):  # fmt: skip
     count = len(source)
     current = transform.copy()
-    moved, residual = np.empty((count, 3)), np.empty(count)
+    moved, residual, facing = np.empty((count, 3)), np.empty(count), np.empty(count)
     match = np.empty(count, dtype=np.int64)
+    sizes = np.empty(count)
     errors = np.zeros(iterations)
     done, converged = 0, False
     matrix, right = np.zeros((6, 6)), np.zeros(6)
@@ -88,55 +159,25 @@ def _plane_icp(
     row = np.empty(6)
     pairs, total = 0, 0.0
     for iteration in range(iterations):
-        rotation = current[:3, :3]
+        _match(
+            source, normals, current, most, beside, target_normals, points, order, starts, table_keys, table_cells,
+            origin, per_mm, moved, match, residual, facing,
+        )  # fmt: skip
         pairs = 0
         centre[:] = 0.0
         for p in range(count):
-            x = (
-                rotation[0, 0] * source[p, 0]
-                + rotation[0, 1] * source[p, 1]
-                + rotation[0, 2] * source[p, 2]
-                + current[0, 3]
-            )
-            y = (
-                rotation[1, 0] * source[p, 0]
-                + rotation[1, 1] * source[p, 1]
-                + rotation[1, 2] * source[p, 2]
-                + current[1, 3]
-            )
-            z = (
-                rotation[2, 0] * source[p, 0]
-                + rotation[2, 1] * source[p, 1]
-                + rotation[2, 2] * source[p, 2]
-                + current[2, 3]
-            )
-            moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
-            q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
-            match[p] = -1
-            if q < 0:
-                continue
-            n = target_normals[q]
-            facing = 0.0
-            for k in range(3):
-                facing += n[k] * (
-                    rotation[k, 0] * normals[p, 0] + rotation[k, 1] * normals[p, 1] + rotation[k, 2] * normals[p, 2]
-                )
-            along = n[0] * (x - points[q, 0]) + n[1] * (y - points[q, 1]) + n[2] * (z - points[q, 2])
-            if facing < 0.7 or squared - along * along > beside * beside:
-                continue
-            match[p], residual[p] = q, along
-            centre += moved[p]
-            pairs += 1
+            if match[p] >= 0 and facing[p] < LEAST_FACING:
+                match[p] = -1
+            if match[p] >= 0:
+                sizes[pairs] = abs(residual[p])
+                for k in range(3):
+                    centre[k] += moved[p, k]
+                pairs += 1
         if pairs < 12:
             break
-        centre /= pairs
-        sizes = np.empty(pairs)
-        at = 0
-        for p in range(count):
-            if match[p] >= 0:
-                sizes[at] = abs(residual[p])
-                at += 1
-        scale = max(1.4826 * np.median(sizes), least_scale, 1e-12)
+        for k in range(3):
+            centre[k] /= pairs
+        scale = max(1.4826 * np.median(sizes[:pairs]), least_scale, 1e-12)
         cut = 4.685 * scale
         matrix[:, :], right[:] = 0.0, 0.0
         total, square = 0.0, 0.0
@@ -165,29 +206,7 @@ def _plane_icp(
             damped[a, a] += 1e-6 * total
             damped[3 + a, 3 + a] += 1e-6 * total * extent
         step = solve_definite(damped, right)
-        turn = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-        spin = np.eye(3)
-        if turn > 0:
-            ax, ay, az = step[3] / turn, step[4] / turn, step[5] / turn
-            c, s = np.cos(turn), np.sin(turn)
-            spin[0, 0], spin[0, 1], spin[0, 2] = (
-                c + ax * ax * (1 - c),
-                ax * ay * (1 - c) - az * s,
-                ax * az * (1 - c) + ay * s,
-            )
-            spin[1, 0], spin[1, 1], spin[1, 2] = (
-                ay * ax * (1 - c) + az * s,
-                c + ay * ay * (1 - c),
-                ay * az * (1 - c) - ax * s,
-            )
-            spin[2, 0], spin[2, 1], spin[2, 2] = (
-                az * ax * (1 - c) - ay * s,
-                az * ay * (1 - c) + ax * s,
-                c + az * az * (1 - c),
-            )
-        shift = spin @ (current[:3, 3] - centre) + centre + step[:3]
-        current[:3, :3] = spin @ np.ascontiguousarray(current[:3, :3])
-        current[:3, 3] = shift
+        turn = _turn_and_shift(current, centre, step)
         if np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) + turn * np.sqrt(extent) < 1e-3 * scale:
             converged = True
             break

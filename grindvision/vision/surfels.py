@@ -7,6 +7,7 @@ only where it matters.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -41,6 +42,18 @@ class Surfels:
         """Means (M, 3) of the cells' points, mm."""
         return self.grid.points
 
+    @cached_property
+    def planes(self) -> Floats:
+        """Rows (M, 8) in the order of the grid's cells: mean, normal, number of points, variance of the plane's height.
+
+        A surfel is one row, and a cell's rows lie together: one line of the processor's cache each.
+        """
+        excess = np.maximum(self.roughness_mm**2 - self.noise_mm**2, 0)
+        variance = self.noise_mm**2 / np.maximum(self.counts, 1) + 0.25 * excess
+        rows = np.empty((len(self), 8))
+        rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7] = self.points, self.normals, self.counts, variance
+        return rows[self.grid.order]
+
     def __len__(self) -> int:
         return len(self.counts)
 
@@ -71,7 +84,7 @@ def surface_area(points: ArrayLike) -> float:
     size = float(np.linalg.norm(np.ptp(points, axis=0))) / 70
     if not size > 0:
         raise DegenerateError("all points of the cloud coincide; is this the right file?")
-    cells = len(build_surfels(points, size))
+    cells = len(assign_cells(points, cell_origin(points, size), 1.0 / size)[1])
     return cells * size**2 / 1.5
 
 

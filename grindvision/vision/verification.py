@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_axis, small_motion, turn_vectors
-from grindvision.geometry.neighbours import nearest
+from grindvision.geometry import angle_between, move_points, rigid, small_motion
+from grindvision.vision.agreement import Agreement, agreeing_share, agreement
 from grindvision.vision.icp import FineRegistration
-from grindvision.vision.plane_icp import icp_planes
+from grindvision.vision.motion_names import motion_name, motion_names
+from grindvision.vision.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.proposals import distinct_poses
 from grindvision.vision.scan import Scan
 from grindvision.vision.surfels import Surfels
@@ -40,6 +41,9 @@ LEAST_OVERLAP = 0.2
 """Least share of the source that must lie over the target's surface; of a larger source, the share it could cover."""
 
 
+CHANCE_OVERLAP, LEAST_CONFIDENCE = 0.4, 0.5
+"""Any two surfaces meet somewhere over some of their extent: below this overlap a pose needs this confidence."""
+
 MOST_WORSE = 1.25
 """A pose whose truncated squared residuals are less than so many times the best's fits as well."""
 
@@ -56,33 +60,6 @@ BOX_TURNS = tuple(
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """What a pose says about the source's surfels, as shares of all: ``agreeing``, ``contradicting``; the rest lies
-    where the target shows nothing."""
-
-    agreeing: float
-    contradicting: float
-
-    @property
-    def overlap(self) -> float:
-        """Share of the source over the target's surface."""
-        return self.agreeing + self.contradicting
-
-    @property
-    def share(self) -> float:
-        """Agreeing share of the overlap."""
-        return self.agreeing / self.overlap if self.overlap > 0 else 0.0
-
-    @property
-    def score(self) -> float:
-        """Agreeing less contradicting share; the best pose has the largest."""
-        return self.agreeing - self.contradicting
-
-    def __str__(self) -> str:
-        return f"overlap {self.overlap:.0%}, of it {self.share:.0%} in agreement"
-
-
-@dataclass(frozen=True)
 class VerifiedPose:
     """The pose that was chosen: its refinement, its ``agreement``, and ``confidence`` 0..1 from the best rival's."""
 
@@ -93,26 +70,6 @@ class VerifiedPose:
 
     def __str__(self) -> str:
         return f"{self.agreement}; confidence {self.confidence:.2f}"
-
-
-def _residuals(points: Floats, target: Surfels, T_target_source: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Distances (N,) of moved points along the target's normals, and the surfels met; -1 where none is shown."""
-    moved = move_points(T_target_source, points)
-    match, distances = nearest(target.grid, moved, 3 * target.grid.size_mm)
-    along = ((moved - target.points[match]) * target.normals[match]).sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        beside = ~(distances**2 - along**2 < (1.5 * target.grid.size_mm) ** 2)
-    return along, np.where(beside, -1, match)
-
-
-def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float) -> Agreement:
-    """Judge a pose on source points (N, 3) with normals (N, 3): agreement means a distance along the target's normal of
-    at most ``within_mm`` and normals less than 45 degrees apart."""
-    along, match = _residuals(points, target, T_target_source)
-    shown = match >= 0
-    facing = (turn_vectors(T_target_source, normals) * target.normals[match]).sum(axis=1) > 0.7
-    good = shown & facing & (np.abs(along) <= within_mm)
-    return Agreement(float(good.mean()), float((shown & ~good).mean()))
 
 
 def choose_pose(
@@ -165,12 +122,18 @@ def choose_pose(
     margin = verdict.score - max(rival.score, 0.0)
     other = next((other for other, v in candidates if v is rival), best)
     if margin < LEAST_MARGIN * covered and judge.fits_as_well(other, best):
+        motion = motion_name(other.T_target_source, best.T_target_source, judge.centre, judge.extent)
         raise DegenerateError(
-            f"the registration is ambiguous: {judge.motion_name(other.T_target_source, best.T_target_source)} fits as"
-            f" well ({rival.score:.2f} against {verdict.score:.2f}); a symmetric part needs a mark or a scan that shows"
-            " what breaks the symmetry"
+            f"the registration is ambiguous: {motion} fits as well ({rival.score:.2f} against {verdict.score:.2f}); a"
+            " symmetric part needs a mark or a scan that shows what breaks the symmetry"
         )
-    return VerifiedPose(best, verdict, rival, float(np.clip(margin / (SURE_MARGIN * covered), 0, 1)) * verdict.share)
+    confidence = float(np.clip(margin / (SURE_MARGIN * covered), 0, 1)) * verdict.share
+    if verdict.overlap < CHANCE_OVERLAP * covered and confidence < LEAST_CONFIDENCE:
+        raise DegenerateError(
+            f"the two scans do not fit: they meet over {verdict.overlap:.0%} only, and a rival hardly worse says that"
+            " this may be chance; are they scans of the same part, from nearby views?"
+        )
+    return VerifiedPose(best, verdict, rival, confidence)
 
 
 class _Judge:
@@ -226,10 +189,12 @@ class _Judge:
 
         Sharper than the agreement: the scale of the truncated squares is that of the best pose's own residuals.
         """
-        (best_residual, best_match), (residual, match) = (
-            _residuals(self.points, self.target, pose.T_target_source) for pose in (best, other)
+        most = 3 * self.target.grid.size_mm
+        best_residual, residual = (
+            plane_residuals(self.points, self.normals, self.target, pose.T_target_source, most)[0]
+            for pose in (best, other)
         )
-        both = (best_match >= 0) & (match >= 0)
+        both = ~np.isnan(best_residual) & ~np.isnan(residual)
         if both.sum() < 30:
             return False
         cut = 4 * 1.4826 * max(float(np.median(np.abs(best_residual[both]))), 1e-9)
@@ -251,7 +216,7 @@ class _Judge:
         )
         rough = np.array(
             [
-                agreement(self.points[:300], self.normals[:300], self.coarse_target, pose, 6 * self.within_mm).agreeing
+                agreeing_share(self.points[:300], self.normals[:300], self.coarse_target, pose, 6 * self.within_mm)
                 for pose in poses
             ]
         )
@@ -278,51 +243,11 @@ class _Judge:
             for one in slid
         ]
         if any(free):
-            names = _motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)
+            names = motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)
             raise DegenerateError(
                 f"the registration is ambiguous, free motion: {'; '.join(names)};"
                 " the part shows nothing that fixes it there, scan more of the part or a part with features"
             )
-
-    def motion_name(self, pose: Floats, reference: Floats) -> str:
-        """In words, the motion in the target's frame that leads from ``reference`` to ``pose``."""
-        motion = pose @ inverse(reference)
-        angle = angle_between(motion, np.eye(4))
-        centre = move_points(reference, self.centre)
-        shift = move_points(motion, centre) - centre
-        if angle * self.extent > 0.3 * np.linalg.norm(shift):
-            axis = rotation_axis(motion[:3, :3])
-            pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ shift
-            x, y, z, a, b, c = *axis, *pivot
-            return (
-                f"a turn (here by {np.degrees(angle):.0f} deg) about the axis ({x:.2f}, {y:.2f}, {z:.2f})"
-                f" through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
-            )
-        x, y, z = shift / np.linalg.norm(shift)
-        return f"a shift (here by {np.linalg.norm(shift):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
-
-
-def _motion_names(twists: Floats, extent: float, centre: Floats) -> list[str]:
-    """In words, a basis of the motions that columns of ``twists`` (6, k) span: pure shifts first, then turns.
-
-    A twist is a shift in mm and a rotation vector in rad about ``centre`` (3,).
-    """
-    scaled = twists / np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])[:, None] / extent
-    _, turning, mix = np.linalg.svd(scaled[3:])
-    turning = np.pad(turning, (0, max(scaled.shape[1] - len(turning), 0)))[: scaled.shape[1]]
-    basis = scaled @ mix.T
-    shifts = basis[:3, turning < 0.3]
-    names = ["a shift along ({:.2f}, {:.2f}, {:.2f})".format(*(shift / np.linalg.norm(shift))) for shift in shifts.T]
-    along = np.linalg.qr(shifts)[0] if shifts.size else np.zeros((3, 0))
-    for column in basis[:, turning >= 0.3].T:
-        rotation = column[3:]
-        shift = (column[:3] - along @ (along.T @ column[:3])) * extent
-        pivot = centre + np.cross(rotation, shift) / (rotation @ rotation)
-        axis = rotation / np.linalg.norm(rotation)
-        names.append(
-            "a turn about the axis ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*axis, *pivot)
-        )
-    return names
 
 
 def _tolerance(source: Surfels, target: Surfels) -> float:
