@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from grinding_scene import pair, plate_height, scan, view
+from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import (
@@ -13,13 +14,15 @@ from grindvision.geometry import (
     rigid,
     rotation_about,
     small_motion,
+    turn_vectors,
 )
+from grindvision.vision.agreement import agreeing_share, agreement
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.detection import DetectOptions, detect
 from grindvision.vision.icp import icp_generalised, icp_points
 from grindvision.vision.keypoints import most_similar
 from grindvision.vision.normals import orient_to_viewpoint
-from grindvision.vision.plane_icp import icp_planes, solve_definite
+from grindvision.vision.plane_icp import icp_planes, plane_residuals, solve_definite
 from grindvision.vision.proposals import propose_poses
 from grindvision.vision.sac_ia import huber, refine_pose, sac_ia_paper
 from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
@@ -79,8 +82,6 @@ def test_sac_ia_as_in_the_paper_comes_near(easy):
 
 def test_refinement_lowers_the_error_it_minimises(prepared, close):
     good, seen = prepared
-    from scipy.spatial import cKDTree
-
     tree = cKDTree(good.voxels.points)
 
     def error(transform):
@@ -229,6 +230,30 @@ def test_a_bent_field_is_not_taken_for_a_motion():
     at = flat.test.mean(axis=0)
     off = [errors(found.T_target_source, flat.T_sample_test, at)[1] for found in (stiff, free)]
     assert off[1] < 0.5 * off[0]
+
+
+def test_planes_are_matched_as_the_plain_twin_does(prepared, close):
+    good, seen = prepared
+    source, normals, target = seen.surfels.points[:3000], seen.surfels.normals[:3000], good.surfels
+    most = 3 * target.grid.size_mm
+    residuals, facing = plane_residuals(source, normals, target, close, most)
+    moved = move_points(close, source)
+    distances, at = cKDTree(target.points).query(moved)
+    along = ((moved - target.points[at]) * target.normals[at]).sum(axis=1)
+    shown = (distances <= most) & (np.sqrt(distances**2 - along**2) < 1.5 * target.grid.size_mm)
+    np.testing.assert_allclose(residuals, np.where(shown, along, np.nan), atol=1e-9)
+    np.testing.assert_array_equal(
+        facing, shown & ((turn_vectors(close, normals) * target.normals[at]).sum(axis=1) > 0.7)
+    )
+
+
+@pytest.mark.parametrize("within_mm", [0.05, 0.5, 5.0])
+def test_the_agreeing_share_is_that_of_the_whole_agreement(prepared, close, within_mm):
+    good, seen = prepared
+    for turn in (0.0, 0.02, 1.5):
+        pose = close @ rigid(rotation_about((0, 0, 1), turn))
+        asked = seen.surfels.points[:500], seen.surfels.normals[:500], good.voxels, pose, within_mm
+        assert agreeing_share(*asked) == agreement(*asked).agreeing
 
 
 def test_point_icp_never_gets_worse_and_stops_as_the_paper_says(easy, close):

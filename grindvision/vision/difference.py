@@ -175,7 +175,7 @@ def _pose_variance(registration: FineRegistration, points: Floats, normals: Floa
     transform = registration.T_target_source
     up = turn_vectors(transform, normals)
     jacobian = np.column_stack([up, np.cross(move_points(transform, points) - registration.centre_mm, up)])
-    return ((jacobian @ registration.covariance) * jacobian).sum(axis=1)
+    return np.einsum("ij,ij->i", jacobian @ registration.covariance, jacobian)
 
 
 def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
@@ -305,11 +305,15 @@ def _largest_gaps(points, feet, normals, starts, indices):
 def _points_in_cells(points, flags, table_keys, table_cells, origin, per_mm):
     found = np.empty(len(points), dtype=np.int64)
     count = 0
+    last, wanted = np.int64(-1), False
     for p in range(len(points)):
         i = int((points[p, 0] - origin[0]) * per_mm)
         j = int((points[p, 1] - origin[1]) * per_mm)
         k = int((points[p, 2] - origin[2]) * per_mm)
-        if flags[table_cells[find_slot(table_keys, cell_key(i, j, k))]]:
+        key = cell_key(i, j, k)
+        if key != last:  # neighbours in a scan's row share a cell
+            last, wanted = key, flags[table_cells[find_slot(table_keys, key)]]
+        if wanted:
             found[count] = p
             count += 1
     return found[:count].copy()
