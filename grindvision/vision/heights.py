@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry.neighbours import cell_key, find_slot, nearest_one
 from grindvision.vision.surfels import Surfels
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -31,10 +30,9 @@ def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Flo
         )  # fmt: skip
 
     halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
-    with ThreadPoolExecutor(2) as pool:
-        heights, normals, variances = (
-            np.concatenate(column) for column in zip(*pool.map(blended, halves), strict=True)
-        )
+    heights, normals, variances = (
+        np.concatenate(column) for column in zip(*side_by_side(blended, halves), strict=True)
+    )
     return heights, normals, variances
 
 

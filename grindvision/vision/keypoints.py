@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -37,9 +37,11 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
     half_squares = 0.5 * np.einsum("ij,ij->i", b, b)
     columns = np.ascontiguousarray(b.T)
     result = np.empty((len(a), count), dtype=np.int64)
-    halves = zip(np.array_split(a, 2), np.array_split(result, 2), strict=True)
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda half: _least_away(half[0], columns, half_squares, half[1]), halves))
+    side_by_side(
+        lambda rows, found: _least_away(rows, columns, half_squares, found),
+        np.array_split(a, 2),
+        np.array_split(result, 2),
+    )
     return result
 
 

@@ -6,14 +6,13 @@ are scored in batches and the best distinct ones kept. ``verification`` then dec
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.vision.keypoints import Keypoints, most_similar
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -103,9 +102,7 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
 
 def _all_votes(poses: Floats, matches: tuple[Floats, ...], apart: float, similar: int) -> NDArray[np.int64]:
     """``_votes`` of many poses, in two threads."""
-    with ThreadPoolExecutor(2) as pool:
-        halves = pool.map(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2))
-        return np.concatenate(list(halves))
+    return np.concatenate(side_by_side(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2)))
 
 
 @njit(cache=True, nogil=True)

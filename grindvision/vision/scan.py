@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.keypoints import Keypoints
 from grindvision.vision.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
 from grindvision.vision.surfels import Surfels, build_surfels, surface_area
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -93,9 +93,8 @@ def prepare_pair(
     sample: ArrayLike, test: ArrayLike, viewpoints_mm: tuple[ArrayLike | None, ArrayLike | None] = (None, None)
 ) -> tuple[Scan, Scan]:
     """Both scans at one resolution, side by side in two threads."""
-    with ThreadPoolExecutor(2) as pool:
-        resolution = coarser(*pool.map(choose_resolution, (sample, test)))
-        first, second = pool.map(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
+    resolution = coarser(*side_by_side(choose_resolution, (sample, test)))
+    first, second = side_by_side(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
     return first, second
 
 

@@ -9,7 +9,6 @@ resists least. A rival that fits as well as the best means that the scans do not
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -25,6 +24,7 @@ from grindvision.vision.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.proposals import distinct_poses
 from grindvision.vision.scan import Scan
 from grindvision.vision.surfels import Surfels
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -175,9 +175,8 @@ class _Judge:
         self, poses: Iterable[Floats], least_agreeing: float = 0.0
     ) -> list[tuple[FineRegistration, Agreement]]:
         """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""
-        with ThreadPoolExecutor(2) as pool:
-            refined = pool.map(lambda pose: self.refined(pose, least_agreeing), poses)
-            return [found for found in refined if found]
+        refined = side_by_side(lambda pose: self.refined(pose, least_agreeing), poses)
+        return [found for found in refined if found]
 
     def differ(self, pose: Floats, other: Floats) -> bool:
         """Whether two poses are apart by more than 2 % of the extent or 3 degrees."""
@@ -232,8 +231,7 @@ class _Judge:
         to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
         resisted_least = directions[:, :3]
         slides = [small_motion(0.12 * self.extent * twist * scale) for twist in resisted_least.T]
-        with ThreadPoolExecutor(2) as pool:
-            slid = list(pool.map(self.refined, [back @ slide @ to_centre @ best.T_target_source for slide in slides]))
+        slid = side_by_side(self.refined, [back @ slide @ to_centre @ best.T_target_source for slide in slides])
         free = [
             one is not None
             and self.differ(one[0].T_target_source, best.T_target_source)
