@@ -1,0 +1,23 @@
+"""Work side by side in two threads."""
+
+import threading
+
+import pytest
+
+from grindvision.vision.threads import side_by_side
+
+
+def test_results_come_in_order_as_those_of_map():
+    assert side_by_side(pow, range(50), [2] * 50) == [number**2 for number in range(50)]
+    assert side_by_side(abs, []) == []
+
+
+def test_two_jobs_run_at_once():
+    both = threading.Barrier(2, timeout=60)
+    assert sorted(side_by_side(lambda _: both.wait(), range(2))) == [0, 1]
+
+
+@pytest.mark.parametrize("broken", range(4))
+def test_what_is_raised_comes_through(broken):
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda number: 1 / (number - broken), range(4))
