@@ -38,7 +38,7 @@ def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
     weight = cluster.heights_mm[core][grid.order]
     total = np.bincount(cells, weight)
     nodes = np.column_stack([np.bincount(cells, weight * points[grid.order, k]) / total for k in range(3)])
-    step = 2.2 * size
+    step = 2.6 * size  # the means of thinly filled cells stand farther apart than their points
     main = euclidean_clusters(nodes, step) == 0
     nodes, total = nodes[main], total[main]
     around = within_radius(build_cells(nodes, step), nodes, step)
