@@ -9,6 +9,7 @@ from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
 from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.normals import (
+    _covered_cells,
     estimate_normals,
     guess_viewpoint,
     least_spread,
@@ -145,6 +146,21 @@ def test_an_origin_beside_the_line_of_sight_is_no_scanner(folded_scan):
     assert guess_viewpoint(folded_scan, normals) is not None
     for side in ([500, 0, 0], [0, -400, 100], [-300, 300, 50]):
         assert guess_viewpoint(folded_scan - [0, 0, 800] - side, normals) is None
+
+
+def test_covered_cells_are_counted_as_by_hand(rng):
+    away = rng.normal(scale=[30, 20, 5], size=(500, 3))
+    directions = np.array([random_rotation(rng)[2] for _ in range(20)])
+    counts = _covered_cells(away, directions, 4.0)
+    for n, count in zip(directions, counts, strict=True):
+        u = np.array([0, n[2], -n[1]]) if abs(n[0]) < 0.6 else np.array([-n[2], 0, n[0]])
+        axes = np.array([u, np.cross(n, u)]) / np.linalg.norm(u)
+        assert count == len(np.unique(np.floor(away @ axes.T / 4.0), axis=0))
+    far = np.concatenate([away, [[1e7, 0, 0]]])
+    assert (
+        _covered_cells(far, np.array([[0, 0, 1.0]]), 4.0)[0]
+        == _covered_cells(away, np.array([[0, 0, 1.0]]), 4.0)[0] + 1
+    )
 
 
 def test_a_whole_model_is_not_seen_at_one_glance(rng):

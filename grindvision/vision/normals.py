@@ -21,6 +21,9 @@ MOST_HIDDEN = 0.25
 GLANCE_POINTS = 2000
 """So many points show well enough from where a cloud is seen at one glance."""
 
+MOST_CELLS = 512
+"""Cells from the middle of a cloud to its rim that are told apart; outliers lie farther out."""
+
 LEAST_AGREEING = 0.7
 """A scanner's place turns normals as ``seen_along`` does: agreeing less contrary share, about 25 degrees apart."""
 
@@ -83,18 +86,13 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
     """
     points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
     away = points - points.mean(axis=0)
-
-    def cells(direction: Floats) -> NDArray[np.int64]:
-        across = np.linalg.svd(direction[None])[2][1:]
-        places = np.floor(away @ across.T / cell_mm).astype(np.int64)
-        return places @ np.array([1 << 32, 1])
-
     height = (np.arange(directions) + 0.5) / directions
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(directions)
     flat = np.sqrt(1 - height**2)
     half_sphere = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
-    direction = max(half_sphere, key=lambda along: len(np.unique(cells(along))))
-    _, cell = np.unique(cells(direction), return_inverse=True)
+    direction = half_sphere[np.argmax(_covered_cells(away, half_sphere, float(cell_mm)))]
+    across = np.linalg.svd(direction[None])[2][1:]
+    _, cell = np.unique(np.floor(away @ across.T / cell_mm) @ [1 << 24, 1], return_inverse=True)
     depth = away @ direction
     facing = np.abs(normals @ direction)
     steepness = np.sqrt(1 - np.minimum(facing, 1) ** 2) / np.maximum(facing, 1e-3)
@@ -166,6 +164,30 @@ def least_spread(xx, xy, xz, yy, yz, zz):
             best, x, y, z = length, c0, c1, c2
     length = np.sqrt(x * x + y * y + z * z)
     return value * scale, x / length, y / length, z / length
+
+
+@njit(cache=True, nogil=True)
+def _covered_cells(away, directions, cell):
+    """How many square cells (D,) of the plane across each direction (D, 3) the points, about their mean, cover.
+
+    Points more than ``MOST_CELLS`` away count in the outermost cells.
+    """
+    counts = np.zeros(len(directions), dtype=np.int64)
+    middle = min(int(np.sqrt((away * away).sum(axis=1).max()) / cell) + 2, MOST_CELLS)
+    seen = np.full((2 * middle, 2 * middle), -1, dtype=np.int32)
+    for d in range(len(directions)):
+        n = directions[d]
+        u = np.array([0.0, n[2], -n[1]]) if abs(n[0]) < 0.6 else np.array([-n[2], 0.0, n[0]])
+        u /= cell * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        v = np.array([n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]])
+        for p in range(len(away)):
+            x, y, z = away[p, 0], away[p, 1], away[p, 2]
+            i = min(max(int(u[0] * x + u[1] * y + u[2] * z + middle), 0), 2 * middle - 1)
+            j = min(max(int(v[0] * x + v[1] * y + v[2] * z + middle), 0), 2 * middle - 1)
+            if seen[i, j] != d:
+                seen[i, j] = d
+                counts[d] += 1
+    return counts
 
 
 @njit(cache=True, nogil=True)
