@@ -4,7 +4,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from grindvision.geometry.neighbours import build_cells, within_radius
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import within_radius
 from grindvision.vision.bead_course import walking_distances
 
 

@@ -3,7 +3,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from grindvision.errors import InputError
-from grindvision.geometry.neighbours import build_cells, nearest, within_radius
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import nearest, within_radius
 
 
 def test_the_nearest_point_is_the_kd_tree_s(rng):

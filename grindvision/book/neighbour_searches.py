@@ -13,7 +13,8 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grindvision.geometry.neighbours import build_cells, nearest
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import nearest
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry.neighbours import Neighbourhoods, build_cells, within_radius
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import Neighbourhoods, within_radius
 from grindvision.vision.clusters import euclidean_clusters
 from grindvision.vision.difference import Cluster
 

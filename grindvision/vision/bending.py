@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry import move_points, rigid, small_motion, turn_vectors
-from grindvision.geometry.neighbours import build_cells
+from grindvision.geometry.cell_grid import build_cells
 from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.surfels import Surfels

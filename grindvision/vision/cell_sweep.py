@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry.neighbours import CellGrid, build_cells, cell_key, find_slot
+from grindvision.geometry.cell_grid import CellGrid, build_cells, cell_key, find_slot
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import build_cells, cell_key, find_slot
+from grindvision.geometry.cell_grid import build_cells, cell_key, find_slot
 
 Integers = NDArray[np.int64]
 

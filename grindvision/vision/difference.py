@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, turn_vectors
-from grindvision.geometry.neighbours import build_cells, cell_key, find_slot, nearest, within_radius
+from grindvision.geometry.cell_grid import build_cells, cell_key, find_slot
+from grindvision.geometry.neighbours import nearest, within_radius
 from grindvision.vision.clusters import euclidean_clusters
 from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors
-from grindvision.geometry.neighbours import bounds
+from grindvision.geometry.cell_grid import bounds
 from grindvision.vision.bending import block_covariance
 from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.heights import heights_above

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import build_cells, within_radius
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import within_radius
 
 Floats = NDArray[np.float64]
 

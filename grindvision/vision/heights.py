@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry.neighbours import cell_key, find_slot, nearest_one
+from grindvision.geometry.cell_grid import cell_key, find_slot
+from grindvision.geometry.neighbours import nearest_one
 from grindvision.vision.surfels import Surfels
 from grindvision.vision.threads import side_by_side
 

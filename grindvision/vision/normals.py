@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import bounds, build_cells, within_radius
+from grindvision.geometry.cell_grid import bounds, build_cells
+from grindvision.geometry.neighbours import within_radius
 
 Floats = NDArray[np.float64]
 

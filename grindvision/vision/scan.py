@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry import inverse, move_points
-from grindvision.geometry.neighbours import build_cells, nearest
+from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.neighbours import nearest
 from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.keypoints import Keypoints
 from grindvision.vision.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint

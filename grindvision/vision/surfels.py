@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import CellGrid, assign_cells, cell_key, cell_origin, find_slot
+from grindvision.geometry.cell_grid import CellGrid, assign_cells, cell_key, cell_origin, find_slot
 from grindvision.vision.normals import least_spread
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.neighbours import bounds, find_slot, grown_table
+from grindvision.geometry.cell_grid import bounds, find_slot, grown_table
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -1,0 +1,176 @@
+"""Points sorted into cubic cells that a hash table finds: what searches, surfels and sweeps over a cloud stand on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import InputError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+AXIS_CELLS = 1 << 20
+"""Most cells along one axis; three axes share one 63-bit key."""
+
+_EMPTY = np.int64(-1)
+_MIX = np.int64(-7046029254386353131)
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """Points (N, 3) sorted into cubic cells of ``size_mm``; the cells are found through a hash table.
+
+    ``order`` (N,) lists the points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``. ``table_keys`` and
+    ``table_cells`` are the open-addressed table from packed cell coordinates to c.
+    """
+
+    points: Floats
+    size_mm: float
+    origin_mm: Floats
+    order: Integers
+    starts: Integers
+    table_keys: Integers
+    table_cells: NDArray[np.int32]
+
+    def __str__(self) -> str:
+        return f"{len(self.points):,} points in {len(self.starts) - 1:,} cells of {self.size_mm:.3g} mm"
+
+
+def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
+    """Sort points (N, 3) into cubic cells of edge ``size_mm``.
+
+    Raises:
+        InputError: the size is not above zero, or so small that an axis has more than ``AXIS_CELLS`` cells.
+    """
+    points = np.ascontiguousarray(points, dtype=float)
+    origin = cell_origin(points, size_mm)
+    cell_of_point, keys, table_keys, table_cells = assign_cells(points, origin, 1.0 / size_mm)
+    order, starts = _sorted_by_cell(cell_of_point, len(keys))
+    return CellGrid(points, float(size_mm), origin, order, starts, table_keys, table_cells)
+
+
+def cell_origin(points: Floats, size_mm: float) -> Floats:
+    """Corner (3,) from which cells are counted; checks that the cells can be keyed.
+
+    It lies a cell and a half below the points: the outermost ones, which define it, then stand in the middle of their
+    cell, and rounding moves none of them into another.
+    """
+    if not size_mm > 0:
+        raise InputError(f"the cell size is {size_mm} mm; it must be above zero")
+    if len(points) == 0:
+        return np.zeros(3)
+    low, high = bounds(points)
+    cells = float((high - low).max()) / size_mm
+    if not cells < AXIS_CELLS - 4:
+        raise InputError(
+            f"the points span {float((high - low).max()):.3g} mm, {cells:.3g} cells of {size_mm:.3g} mm; drop far"
+            " outliers or take larger cells"
+        )
+    return low - 1.5 * size_mm
+
+
+@njit(cache=True, nogil=True)
+def bounds(points):
+    """Lowest and highest coordinates (3,), (3,) of points (N, 3)."""
+    x = x_low = points[0, 0]
+    y = y_low = points[0, 1]
+    z = z_low = points[0, 2]
+    for p in range(len(points)):
+        x_low, y_low, z_low = min(x_low, points[p, 0]), min(y_low, points[p, 1]), min(z_low, points[p, 2])
+        x, y, z = max(x, points[p, 0]), max(y, points[p, 1]), max(z, points[p, 2])
+    return np.array([x_low, y_low, z_low]), np.array([x, y, z])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def cell_key(i, j, k):
+    """Pack three non-negative cell coordinates into one key."""
+    return (np.int64(i) << 42) | (np.int64(j) << 21) | np.int64(k)
+
+
+@njit(cache=True, nogil=True)
+def find_slot(table_keys, key):
+    """Slot of ``key`` in the open-addressed table, or the free slot where it belongs.
+
+    Eight cells in a row along z begin their search in one line of the processor's cache.
+    """
+    mask = table_keys.size - 1
+    slot = ((((key >> 3) * _MIX) >> 30) & ~7 | (key & 7)) & mask
+    while table_keys[slot] != _EMPTY and table_keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def grown_table(keys, count, size):
+    """Fresh table of ``size`` slots (a power of two) holding the first ``count`` keys."""
+    table_keys = np.full(size, _EMPTY, dtype=np.int64)
+    table_cells = np.empty(size, dtype=np.int32)
+    for cell in range(count):
+        slot = find_slot(table_keys, keys[cell])
+        table_keys[slot] = keys[cell]
+        table_cells[slot] = cell
+    return table_keys, table_cells
+
+
+@njit(cache=True, nogil=True)
+def assign_cells(points, origin, per_mm):
+    """Cell number of each point, keys of the cells in order of first appearance, and the table."""
+    cell_of_point = np.empty(len(points), dtype=np.int32)
+    keys = np.empty(2048, dtype=np.int64)
+    table_keys, table_cells = grown_table(keys, 0, 2 * len(keys))
+    done = count = 0
+    while True:
+        done, count = _enter(points, done, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point)
+        if done == len(points):
+            return cell_of_point, keys[:count].copy(), table_keys, table_cells
+        more = np.empty(2 * len(keys), dtype=np.int64)
+        more[:count] = keys
+        keys = more
+        table_keys, table_cells = grown_table(keys, count, 2 * len(keys))
+
+
+@njit(cache=True, nogil=True)
+def _enter(points, first, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point):
+    """Number the cells of points from ``first`` on, while there is room for keys: where it stopped, and how many.
+
+    Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round. Neighbours
+    in a scan's row share a cell: the table is asked when it changes.
+    """
+    last, cell = _EMPTY, 0
+    for p in range(first, len(points)):
+        i = int((points[p, 0] - origin[0]) * per_mm)
+        j = int((points[p, 1] - origin[1]) * per_mm)
+        k = int((points[p, 2] - origin[2]) * per_mm)
+        key = cell_key(i, j, k)
+        if key != last:
+            slot = find_slot(table_keys, key)
+            if table_keys[slot] == _EMPTY:
+                if count == len(keys):
+                    return p, count
+                keys[count] = key
+                table_keys[slot] = key
+                table_cells[slot] = count
+                count += 1
+            last, cell = key, table_cells[slot]
+        cell_of_point[p] = cell
+    return len(points), count
+
+
+@njit(cache=True, nogil=True)
+def _sorted_by_cell(cell_of_point, cells):
+    starts = np.zeros(cells + 1, dtype=np.int64)
+    for cell in cell_of_point:
+        starts[cell + 1] += 1
+    for cell in range(cells):
+        starts[cell + 1] += starts[cell]
+    fill = starts[:-1].copy()
+    order = np.empty(len(cell_of_point), dtype=np.int64)
+    for p in range(len(cell_of_point)):
+        cell = cell_of_point[p]
+        order[fill[cell]] = p
+        fill[cell] += 1
+    return order, starts
