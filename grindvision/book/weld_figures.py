@@ -73,7 +73,7 @@ def draw_field(left: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
         axis.grid(visible=False)
         axis.xaxis.set_major_locator(MaxNLocator(4))
     axes[0].set_ylabel("y, mm")
-    fig.colorbar(image, ax=axes, label="depth error, mm", shrink=0.9)
+    fig.colorbar(image, ax=axes, label="depth error, mm", shrink=0.7)
     return fig, shown
 
 
