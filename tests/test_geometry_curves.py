@@ -44,3 +44,14 @@ def test_points_find_their_arc_length(rng):
     _, near = cKDTree(curve.at(fine)).query(far)
     along = ((far - curve.at(fine[near])) * curve.tangents(fine[near])).sum(axis=1)
     np.testing.assert_allclose(curve.arc_of(far), fine[near] + along)
+
+
+@pytest.mark.parametrize(("places", "closed"), [(spiral(12, 0.6), False), (spiral(14, 1), True)])
+def test_distances_are_those_of_a_fine_polyline_and_of_the_ends(rng, places, closed):
+    curve = Curve(places, closed)
+    points = places[rng.integers(0, len(places), 60)] + rng.normal(scale=3, size=(60, 3))
+    fine = curve.at(np.linspace(0, curve.length_mm, 100_000, endpoint=not closed))
+    np.testing.assert_allclose(curve.distances(points), cKDTree(fine).query(points)[0], atol=0.02)
+    if not closed:
+        end = curve.at([curve.length_mm]) + 5 * curve.tangents([curve.length_mm])
+        np.testing.assert_allclose(curve.distances(end), [5], atol=1e-6)

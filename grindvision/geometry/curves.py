@@ -57,6 +57,13 @@ class Curve:
         along = ((points - places[near]) * self.tangents(fine)[near]).sum(axis=1)
         return fine[near] + along
 
+    def distances(self, points: ArrayLike) -> Floats:
+        """Distances (K,) in mm of points (K, 3) from the curve; beyond its ends, from the ends."""
+        points = np.asarray(points, dtype=float)
+        arc = self.arc_of(points)
+        feet = self.at(arc if self.closed else np.clip(arc, 0, self.length_mm))
+        return np.linalg.norm(points - feet, axis=1)
+
     def _segments(self, arc: ArrayLike) -> tuple[NDArray[np.int64], Floats, Floats, Floats, Floats]:
         """Segment (K,) of each arc length, the way (K, 1) into it, and the first three derivatives at its beginning."""
         arc = np.asarray(arc, dtype=float)
