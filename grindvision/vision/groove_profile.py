@@ -14,13 +14,12 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from grindvision.vision.profile_fit import fit_stations
 from grindvision.vision.seam_curve import Strip
 
 Floats = NDArray[np.float64]
 
 LEVEL, TILT, BEND, DEPTH, LEFT, ROOT, RIGHT = range(7)
-#: Gauss-Newton steps at most; a fit whose cost falls by less than ``_SETTLED`` of itself is left alone.
-_ROUNDS, _SETTLED = 14, 1e-4
 
 
 @dataclass(frozen=True)
@@ -71,8 +70,8 @@ def gather_sections(
 def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Corners, noise_mm: float) -> ProfileFit:
     """Fit the groove's cross-section at every station.
 
-    Damped Gauss-Newton over all stations at once, with Huber weights and a weak normal prior that keeps what the
-    profile does not show (an edge beyond the part's outline).
+    Damped Gauss-Newton with Huber weights and a weak normal prior that keeps what the profile does not show (an edge
+    beyond the part's outline).
 
     Args:
         sections: the mean profiles.
@@ -83,33 +82,12 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
     """
     prior = 1 / np.broadcast_to(spread, start.shape) ** 2
     filled = sections.weight[sections.weight > 0]
-    data_weight = np.minimum(sections.weight, 4.0 * float(np.median(filled)) if len(filled) else 0.0)
-    data_weight = data_weight / max(float(data_weight.max()), 1e-9) / noise_mm**2
-    theta, damping = start.copy(), np.full(len(start), 1e-2)
-    cost = _cost(theta, start, prior, sections, data_weight, corners, noise_mm)
-    for _ in range(_ROUNDS):
-        height, jacobian = profile_slopes(sections.across, theta, corners)
-        off = sections.up - height
-        weight = data_weight * _huber(off / noise_mm)
-        normal, slope = _normal_equations(jacobian, weight, off, prior)
-        slope -= prior * (theta - start)
-        damped = normal.copy()
-        np.einsum("sii->si", damped)[:] *= 1 + damping[:, None]
-        trial = _in_order(theta + np.linalg.solve(damped, slope[..., None])[..., 0], corners.floor_mm + sections.bin_mm)
-        trial_cost = _cost(trial, start, prior, sections, data_weight, corners, noise_mm)
-        better = trial_cost < cost
-        settled = not (trial_cost < (1 - _SETTLED) * cost).any() and (damping < 1).all()
-        theta, cost = np.where(better[:, None], trial, theta), np.where(better, trial_cost, cost)
-        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-7, 1e5)
-        if settled:
-            break
-    height, jacobian = profile_slopes(sections.across, theta, corners)
-    weight = data_weight * _huber((sections.up - height) / noise_mm)
-    normal, _ = _normal_equations(jacobian, weight, sections.up - height, prior)
-    deviation = np.sqrt(np.maximum(np.einsum("sii->si", np.linalg.inv(normal)), 0))
-    total = np.maximum(weight.sum(axis=1), 1e-12)
-    noise = np.sqrt((weight * (sections.up - height) ** 2).sum(axis=1) / total)
-    return ProfileFit(theta, deviation, noise, corners)
+    weight = np.minimum(sections.weight, 4.0 * float(np.median(filled)) if len(filled) else 0.0)
+    weight = weight / max(float(weight.max()), 1e-9) / noise_mm**2
+    shape = np.array([corners.edge_mm, corners.root_mm, corners.floor_mm])
+    gap = corners.floor_mm + sections.bin_mm
+    fitted = fit_stations(sections.across, sections.up, weight, start, prior, shape, float(noise_mm), gap)
+    return ProfileFit(*fitted, corners)
 
 
 def profile_height(across: Floats, parameters: Floats, corners: Corners) -> Floats:
@@ -123,64 +101,9 @@ def profile_height(across: Floats, parameters: Floats, corners: Corners) -> Floa
     return level + tilt * across + bend * arch - depth * roof
 
 
-def profile_slopes(across: Floats, parameters: Floats, corners: Corners) -> tuple[Floats, Floats]:
-    """Height (S, M) and its derivatives (S, M, 7) at ``across`` (S, M) for parameters (S, 7)."""
-    level, tilt, bend, depth, left, root, right = (parameters[:, k, None] for k in range(7))
-    a, b = 1 / (root - corners.floor_mm - left), 1 / (right - root - corners.floor_mm)
-    ramp_l, rise_l = _ramp_slope(across - left, corners.edge_mm)
-    ramp_a, rise_a = _ramp_slope(across - root + corners.floor_mm, corners.root_mm)
-    ramp_b, rise_b = _ramp_slope(across - root - corners.floor_mm, corners.root_mm)
-    ramp_r, rise_r = _ramp_slope(across - right, corners.edge_mm)
-    fall, climb = (ramp_l - ramp_a) * a, (ramp_b - ramp_r) * b
-    roof = fall - climb
-    inside = (across > left) & (across < right)
-    arch = np.where(inside, (left + right) * across - left * right, across**2)
-    jacobian = np.empty((*across.shape, 7))
-    jacobian[..., LEVEL] = 1
-    jacobian[..., TILT] = across
-    jacobian[..., BEND] = arch
-    jacobian[..., DEPTH] = -roof
-    jacobian[..., LEFT] = -depth * (fall - rise_l) * a
-    jacobian[..., LEFT] += np.where(inside, bend * (across - right), 0)
-    jacobian[..., ROOT] = -depth * ((rise_a - fall) * a + (rise_b - climb) * b)
-    jacobian[..., RIGHT] = -depth * (climb - rise_r) * b
-    jacobian[..., RIGHT] += np.where(inside, bend * (across - left), 0)
-    return level + tilt * across + bend * arch - depth * roof, jacobian
-
-
-def _normal_equations(jacobian: Floats, weight: Floats, off: Floats, prior: Floats) -> tuple[Floats, Floats]:
-    weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
-    normal = weighted @ jacobian
-    np.einsum("sii->si", normal)[:] += prior
-    return normal, (weighted @ off[..., None])[..., 0]
-
-
 def _ramp(x: Floats, rounding: float) -> Floats:
     """max(x, 0) with a rounded corner."""
     return (x + np.sqrt(x * x + rounding * rounding)) / 2
-
-
-def _ramp_slope(x: Floats, rounding: float) -> tuple[Floats, Floats]:
-    root = np.sqrt(x * x + rounding * rounding)
-    return (x + root) / 2, (1 + x / root) / 2
-
-
-def _huber(scaled: Floats) -> Floats:
-    return 1 / np.maximum(np.abs(scaled) / 2.0, 1.0)
-
-
-def _cost(theta, start, prior, sections, data_weight, corners, noise_mm) -> Floats:
-    off = np.abs(sections.up - profile_height(sections.across, theta, corners)) / noise_mm
-    loss = np.where(off < 2.0, off**2, 4.0 * off - 4.0) * noise_mm**2
-    return (data_weight * loss).sum(axis=1) + (prior * (theta - start) ** 2).sum(axis=1)
-
-
-def _in_order(theta: Floats, gap: float) -> Floats:
-    """Keep left edge, root and right edge in this order, at least ``gap`` apart, and the depth positive."""
-    theta[:, LEFT] = np.minimum(theta[:, LEFT], theta[:, ROOT] - gap)
-    theta[:, RIGHT] = np.maximum(theta[:, RIGHT], theta[:, ROOT] + gap)
-    theta[:, DEPTH] = np.maximum(theta[:, DEPTH], 0.0)
-    return theta
 
 
 @njit(cache=True, nogil=True)

@@ -7,8 +7,8 @@ longer than about ``2 pi length_mm`` pass, shorter ones are taken for noise.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solveh_banded
 
 Floats = NDArray[np.float64]
 
@@ -22,6 +22,8 @@ OUTLIER = 6.0
 MAD_TO_STD, TUKEY = 1.4826, 4.7
 #: Rounds of lowering the weights of values that stand out.
 ROBUST_ROUNDS = 5
+#: Added to all weights, the largest of which is 1: where nothing is known, the curve is still a number.
+RIDGE = 1e-9
 
 
 def smooth_along(
@@ -40,21 +42,12 @@ def smooth_along(
         robust: whether to distrust values that stand out.
     """
     values = np.asarray(values, dtype=float)
-    columns = values.reshape(len(values), -1)
     base = np.asarray(weights, dtype=float)
     base = base / max(base.max(), 1e-300)
-    bending = (length_mm / step_mm) ** 4 * _bending_bands(len(columns))
-    result = np.empty_like(columns)
-    for k in range(columns.shape[1]):
-        weight = base.copy()
-        for _ in range(ROBUST_ROUNDS if robust else 1):
-            system = bending.copy()
-            system[2] += weight + 1e-9
-            result[:, k] = solveh_banded(system, weight * columns[:, k], check_finite=False)
-            off = np.abs(columns[:, k] - result[:, k])
-            scale = TUKEY * MAD_TO_STD * np.median(off[base > 0]) if (base > 0).any() else 0.0
-            weight = base * np.clip(1 - (off / max(scale, 1e-9)) ** 2, 0, 1) ** 2
-    return result.reshape(values.shape)
+    columns = np.ascontiguousarray(values.reshape(len(values), -1).T)
+    stiffness, rounds = (length_mm / step_mm) ** 4, ROBUST_ROUNDS if robust else 1
+    result = [_robust(column, base, stiffness, rounds) for column in columns]
+    return np.stack(result, axis=-1).reshape(values.shape)
 
 
 def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tuple[Floats, float]:
@@ -75,13 +68,7 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     doublings = int(np.ceil(np.log2(2 * len(values))))
     lengths = step_mm / 2 * 2 ** np.arange(0, doublings + 1e-9, 1 / LENGTHS_PER_DOUBLING)
     place = np.arange(len(values))
-    off = np.empty((len(lengths), len(values)))
-    for turn in range(PERIOD // JUDGED):
-        in_period = (place + turn * JUDGED) % PERIOD
-        judged = np.abs(in_period - GAP // 2) <= JUDGED // 2
-        kept = np.where(in_period < GAP, 0.0, weights)
-        for trial, length in enumerate(lengths):
-            off[trial, judged] = np.abs(values - smooth_along(values, kept, length, step_mm))[judged]
+    off = _misses(values, weights / max(weights.max(), 1e-300), (lengths / step_mm) ** 4)
     scaled = off * np.sqrt(weights / max(weights.max(), 1e-300))
     # The same limit for all lengths, or a bad one would shut out more of what it misses.
     limit = OUTLIER * np.median(scaled[:, weights > 0], axis=1).min(initial=np.inf)
@@ -93,12 +80,60 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     return smooth_along(values, trusted, lengths[best], step_mm), float(lengths[best])
 
 
-def _bending_bands(size: int) -> Floats:
-    """Upper bands (3, size) of the matrix whose quadratic form sums the squared second differences."""
-    bands = np.zeros((3, size))
-    for offset, factor in enumerate((1.0, -2.0, 1.0)):
-        bands[2, offset : size - 2 + offset] += factor**2
-        if offset < 2:
-            bands[1, 1 + offset : size - 1 + offset] += -2.0
-    bands[0, 2:] += 1.0
-    return bands
+@njit(cache=True, nogil=True)
+def _robust(values, base, stiffness, rounds):
+    """Smoothed values (S,), the weights of those that stand out lowered from round to round."""
+    smooth, bands, weight = np.empty(len(values)), np.empty((3, len(values))), base.copy()
+    for number in range(rounds):
+        _smooth(values, weight, stiffness, smooth, bands)
+        if number < rounds - 1:
+            off = np.abs(values - smooth)
+            scale = max(TUKEY * MAD_TO_STD * np.median(off[base > 0]) if (base > 0).any() else 0.0, 1e-9)
+            weight = base * np.maximum(1 - (off / scale) ** 2, 0) ** 2
+    return smooth
+
+
+@njit(cache=True, nogil=True)
+def _misses(values, weights, stiffnesses):
+    """How far (L, S) the curve of each of L stiffnesses misses a value when it and those around it are left out."""
+    count = len(values)
+    smooth, bands, kept = np.empty(count), np.empty((3, count)), np.empty(count)
+    off = np.empty((len(stiffnesses), count))
+    for turn in range(PERIOD // JUDGED):
+        for s in range(count):
+            kept[s] = 0.0 if (s + turn * JUDGED) % PERIOD < GAP else weights[s]
+        for trial in range(len(stiffnesses)):
+            _smooth(values, kept, stiffnesses[trial], smooth, bands)
+            for s in range(count):
+                if abs((s + turn * JUDGED) % PERIOD - GAP // 2) <= JUDGED // 2:
+                    off[trial, s] = abs(values[s] - smooth[s])
+    return off
+
+
+@njit(cache=True, nogil=True)
+def _smooth(values, weights, stiffness, smooth, bands):
+    """Solve (W + stiffness D^T D) x = W y into ``smooth``; D takes second differences, so the matrix has five bands.
+
+    Factorised as L diag(d) L^T; ``bands`` (3, S) takes the two bands of L and 1 / d.
+    """
+    count = len(values)
+    per_before = per_last = 0.0
+    for s in range(count):
+        bending = (s < count - 2) + 4 * (0 < s < count - 1) + (s > 1)
+        far = stiffness if s > 1 else 0.0
+        near = -2 * stiffness * ((s < count - 1) + (s > 1)) - far * bands[0, s - 1] if s > 0 else 0.0
+        bands[0, s], bands[1, s] = near * per_last, far * per_before
+        pivot = weights[s] + stiffness * bending - bands[0, s] * near - bands[1, s] * far
+        smooth[s] = weights[s] * values[s]
+        if s > 0:
+            smooth[s] -= bands[0, s] * smooth[s - 1]
+        if s > 1:
+            smooth[s] -= bands[1, s] * smooth[s - 2]
+        per_before, per_last = per_last, 1 / (max(pivot, 0.0) + RIDGE)
+        bands[2, s] = per_last
+    for s in range(count - 1, -1, -1):
+        smooth[s] *= bands[2, s]
+        if s < count - 1:
+            smooth[s] -= bands[0, s + 1] * smooth[s + 1]
+        if s < count - 2:
+            smooth[s] -= bands[1, s + 2] * smooth[s + 2]
