@@ -1,16 +1,18 @@
 """Grooves are found where they are: known shapes, any frame and order, nothing invented, bad input named."""
 
 import numpy as np
+import plain_profile
 import pytest
 from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from grindvision.book import waypoints
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.vision.groove import find_grooves
-from grindvision.vision.groove_profile import Corners, profile_height, profile_slopes
-from grindvision.vision.height_field import closed, rasterise
+from grindvision.vision.groove_profile import Corners, Sections, fit_profiles, profile_height
+from grindvision.vision.height_field import closed, coarser, rasterise, smoothed
 from grindvision.vision.seam_curve import build_curve, lay_straight
 
 
@@ -243,12 +245,30 @@ def test_profile_slopes_agree_with_finite_differences(rng):
     across = np.sort(rng.uniform(-12, 12, (2, 40)), axis=1)
     parameters = np.array([[0.1, 0.05, 0.01, 7, -6, 0.3, 5.5], [0, 0, -0.01, 4, -4, -0.5, 5]])
     for corners in (Corners(0.3, 0.5), Corners(0.2, 0.1, 1.2)):
-        height, slopes = profile_slopes(across, parameters, corners)
+        height, slopes = plain_profile.profile_slopes(across, parameters, corners)
         np.testing.assert_allclose(height, profile_height(across, parameters, corners), atol=1e-12)
         for k in range(7):
             step = 1e-5 * np.eye(7)[k]
             high, low = (profile_height(across, parameters + sign * step, corners) for sign in (1, -1))
             np.testing.assert_allclose(slopes[..., k], (high - low) / 2e-5, atol=1e-7)
+
+
+def test_fitted_sections_agree_with_the_plain_twin(rng):
+    across = np.tile(np.linspace(-12, 12, 49), (30, 1)) + rng.uniform(-0.2, 0.2, (30, 49))
+    true = np.array([0, 0, 0, 6, -5, 0, 5]) + 0.3 * rng.standard_normal((30, 7)) * [1, 0.1, 0.01, 1, 1, 1, 1]
+    start = np.tile([0.0, 0, 0, 5, -6, 0, 6], (30, 1))
+    spread = np.array([3, 0.5, 0.02, 6, 5, 4, 5])
+    for corners in (Corners(0.05, 0.05), Corners(0.6, 0.4, 1.2)):
+        up = profile_height(across, true, corners) + 0.1 * rng.standard_normal(across.shape)
+        up[rng.random(up.shape) < 0.03] += 4
+        weight = np.where(rng.random(up.shape) < 0.9, rng.uniform(0.5, 2, up.shape), 0)
+        weight[:5, 30:] = 0
+        sections = Sections(across, up, weight, 0.5)
+        plain, deviation, noise = plain_profile.fit_profiles(sections, start, spread, corners, 0.2)
+        fit = fit_profiles(sections, start, spread, corners, 0.2)
+        assert (np.abs(fit.parameters - plain) / deviation).max() < 0.1
+        np.testing.assert_allclose(fit.deviation, deviation, rtol=0.05)
+        np.testing.assert_allclose(fit.noise_mm, noise, rtol=0.01)
 
 
 def test_closing_fills_valleys_and_leaves_ridges_and_outlines(rng):
@@ -264,17 +284,40 @@ def test_closing_fills_valleys_and_leaves_ridges_and_outlines(rng):
     assert np.nanmax(filled(lambda x, y: -(x**2) / 60)) < 1e-4
 
 
-def test_closing_agrees_with_the_plain_definition(rng):
-    heights = rng.random((23, 19)).round(3)
-    heights[rng.random(heights.shape) < 0.1] = np.nan
-    radius = 3.4
-    pad = 8
+@pytest.mark.parametrize(("shape", "radius"), [((23, 19), 3.4), ((40, 61), 13.3), ((50, 30), 8.0)])
+def test_closing_agrees_with_the_plain_definition(rng, shape, radius):
+    heights = rng.random(shape).round(3)
+    heights[rng.random(shape) < 0.1] = np.nan
+    reach = range(-int(radius), int(radius) + 1)
+    pad = 2 * int(radius) + 2
     low = np.pad(np.where(np.isnan(heights), -np.inf, heights), pad, constant_values=-np.inf)
-    steps = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if i * i + j * j <= radius**2]
+    steps = [(i, j) for i in reach for j in reach if i * i + j * j <= radius**2]
     lifted = np.max([np.roll(low, step, (0, 1)) for step in steps], axis=0)
     lowered = np.min([np.roll(lifted, step, (0, 1)) for step in steps], axis=0)[pad:-pad, pad:-pad]
     expected = np.where(np.isnan(heights), np.nan, np.maximum(lowered, heights))
     np.testing.assert_allclose(closed(heights, radius), expected, atol=1e-6)
+
+
+def test_smoothed_heights_are_means_of_the_filled_cells_around(rng):
+    places = grid(40, 30, 1.0)
+    places = places[rng.random(len(places)) < 0.8]
+    field = rasterise(np.column_stack([places, rng.normal(300, 1, len(places))]), np.eye(4), 1.0)
+    share = gaussian_filter(field.filled.astype(float), 1.7, mode="constant", truncate=3.0)
+    total = gaussian_filter(np.nan_to_num(field.heights_mm), 1.7, mode="constant", truncate=3.0)
+    expected = np.where(field.filled, total / share, np.nan)
+    np.testing.assert_allclose(smoothed(field, 1.7), expected, atol=1e-3)
+
+
+def test_coarser_raster_holds_the_same_points(rng):
+    points = rng.uniform([0, 0, 0], [31, 23, 5], (2000, 3))
+    fine = rasterise(points, np.eye(4), 0.5)
+    coarse = coarser(fine, 3)
+    assert coarse.counts.sum() == len(points)
+    cells = np.floor((points[:, :2] + fine.T_field_cloud[:2, 3]) / 1.5).astype(int)
+    for cell in np.unique(cells[:200], axis=0):
+        inside = (cells == cell).all(axis=1)
+        assert coarse.counts[tuple(cell)] == inside.sum()
+        assert coarse.heights_mm[tuple(cell)] == pytest.approx(points[inside, 2].mean())
 
 
 def test_coordinates_along_a_circle(rng):

@@ -11,8 +11,8 @@ from grindvision.errors import NoGrooveError
 from grindvision.vision.clusters import euclidean_clusters
 from grindvision.vision.gfh import GrooveFeatures, groove_features, plane_normals, vote
 from grindvision.vision.groove import finite_points
-from grindvision.vision.height_field import field_frames
 from grindvision.vision.mls import smooth_mls
+from grindvision.vision.viewing_frames import field_frames
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -17,8 +17,9 @@ from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
 from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, fit_groove
 from grindvision.vision.groove_lines import DetectedGroove
-from grindvision.vision.height_field import field_frames, spacing_of
+from grindvision.vision.height_field import field_bounds, spacing_of
 from grindvision.vision.valley import find_valleys
+from grindvision.vision.viewing_frames import field_frames
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,8 +27,6 @@ Flags = NDArray[np.bool_]
 
 #: A groove holds at least this share of the volume of the largest one.
 LEAST_VOLUME_SHARE = 0.05
-#: Valleys below this share of the largest one's volume are not even fitted.
-LEAST_LOOKED_AT = 0.01
 #: Where the largest valley is no groove, so many of the valleys under each smaller disc are fitted, largest first.
 MOST_LOOKED_AT = 4
 #: A path that runs along a known groove for this share is that groove again.
@@ -125,7 +124,8 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
     kept = cloud if valid.all() else cloud[valid]
     if len(kept) < 100:
         raise InputError(f"{len(kept)} of {len(cloud)} points are finite; a groove needs at least 100")
-    diagonal = float(np.linalg.norm(np.ptp(kept, axis=0)))
+    low, high = field_bounds(kept, np.eye(4))
+    diagonal = float(np.linalg.norm(high - low))
     if not SMALLEST_MM <= diagonal <= LARGEST_MM:
         guess = "; if its numbers are metres, read it with unit m" if diagonal < SMALLEST_MM else ""
         raise UnitError(f"the cloud spans {diagonal:.3g} mm, which is no weld part in mm{guess}")
@@ -155,7 +155,7 @@ def _grooves_seen(
             before = len(found)
             for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
-                if valley.volume_mm3 >= LEAST_LOOKED_AT * valleys[0].volume_mm3 and not _known(path, found):
+                if not _known(path, found):
                     groove = fit_groove(cloud, field.T_field_cloud, valley, spacing)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
             if len(found) > before:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from grindvision.vision.height_field import HeightField, closed, field_bounds, rasterise, smoothed
+from grindvision.vision.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -31,6 +33,8 @@ LEAST_INNER_CELLS = 2.0
 LEAST_CONTRAST = 2.5
 #: The smallest disc tried, as a share of the part's smaller side; a dense cloud would allow far smaller ones.
 LEAST_RADIUS_SHARE = 0.012
+#: Valleys below this share of the largest one's volume are left out.
+LEAST_LOOKED_AT = 0.01
 #: Valleys looked at, deepest first, in one height field.
 MOST_VALLEYS = 6
 #: Cells of a valley farther from its path than this share of its width belong to a branch.
@@ -43,13 +47,12 @@ _EIGHT = np.ones((3, 3), dtype=bool)
 
 @dataclass(frozen=True)
 class Valley:
-    """One connected valley: its cells (R, C), its ``path`` (M, 3) along the bottom at the level of the surface around.
+    """One connected valley: its ``path`` (M, 3) along the bottom at the level of the surface around.
 
     The path is in the field frame, mm. ``depth_mm`` is the depth below the closed surface over most of the valley,
     ``width_mm`` its width between the flanks, ``volume_mm3`` what the closing fills.
     """
 
-    cells: Flags
     path: Floats
     depth_mm: float
     width_mm: float
@@ -65,6 +68,18 @@ class _Piece:
     depth_mm: float
     width_mm: float
     volume_mm3: float
+
+
+@dataclass(frozen=True)
+class _Filling:
+    field: HeightField
+    surface: Floats
+    depth: Floats
+    pieces: list[_Piece]
+
+    @property
+    def volume_mm3(self) -> float:
+        return max((piece.volume_mm3 for piece in self.pieces), default=0.0)
 
 
 def find_valleys(
@@ -83,29 +98,36 @@ def find_valleys(
         radius_mm: radius of the closing's disc, more than half the groove's width; by default it doubles from eight
             spacings on.
     """
-    looks: list[tuple[list[_Piece], HeightField, Floats, Floats]] = []
+    radii = [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm)
+    finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS))
+    with ThreadPoolExecutor(2) as pool:
+        fillings = [one for one in pool.map(lambda radius: _fill(finest, radius), radii) if one.volume_mm3 > 0]
     first, most = 0, 0.0
-    for radius in [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm):
-        cell = max(1.2 * spacing_mm, radius / CELLS_PER_RADIUS)
-        field = rasterise(points, T_field_cloud, cell)
-        surface = closed(smoothed(field, SMOOTHING_SHARE * radius), radius / cell)
-        depth = np.nan_to_num(surface - smoothed(field, SMOOTHING_SHARE * radius))
-        pieces = _pieces(depth, field)
-        volume = max((piece.volume_mm3 for piece in pieces), default=0.0)
-        if volume > 0:
-            looks.append((pieces, field, surface, depth))
-            if most < ENOUGH_VOLUME * volume:
-                first, most = len(looks) - 1, volume
-    for pieces, field, surface, depth in (*looks[first : first + 1], *looks[:first]):
-        valleys = []
-        for piece in pieces:
-            path = _path(piece, surface, depth, field)
-            valleys.append(Valley(piece.cells, path, piece.depth_mm, piece.width_mm, piece.volume_mm3))
-            for arm in _arms(piece, path, depth, field):
-                path = _path(arm, surface, depth, field)
-                valleys.append(Valley(arm.cells, path, arm.depth_mm, arm.width_mm, arm.volume_mm3))
-        valleys.sort(key=lambda valley: -valley.volume_mm3)
-        yield valleys, field
+    for number, filling in enumerate(fillings):
+        if most < ENOUGH_VOLUME * filling.volume_mm3:
+            first, most = number, filling.volume_mm3
+    for filling in (*fillings[first : first + 1], *fillings[:first]):
+        yield _valleys(filling), filling.field
+
+
+def _valleys(filling: _Filling) -> list[Valley]:
+    """Valleys of one filling and their arms, largest volume first, with their paths."""
+    least, valleys = LEAST_LOOKED_AT * filling.volume_mm3, []
+    for piece in filling.pieces:
+        if piece.volume_mm3 >= least:
+            valleys.append(_valley(piece, filling))
+            arms = _arms(piece, valleys[-1].path, filling)
+            valleys += [_valley(arm, filling) for arm in arms if arm.volume_mm3 >= least]
+    return sorted(valleys, key=lambda valley: -valley.volume_mm3)
+
+
+def _fill(finest: HeightField, radius_mm: float) -> _Filling:
+    """What a closing with a disc fills, on the finest raster that it needs."""
+    field = coarser(finest, max(int(radius_mm / (CELLS_PER_RADIUS * finest.cell_mm)), 1))
+    heights = smoothed(field, SMOOTHING_SHARE * radius_mm)
+    surface = closed(heights, radius_mm / field.cell_mm)
+    depth = np.where(field.filled, surface - heights, 0.0)
+    return _Filling(field, surface, depth, _pieces(depth, field))
 
 
 def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[float]:
@@ -119,37 +141,44 @@ def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[flo
 
 def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
     """Cut the depth map into valleys: take the deepest, mark what belongs to it, go on with the rest."""
-    filled = field.filled
-    level = LEAST_CONTRAST * float(np.median(depth[filled]))
-    left, pieces = depth.copy(), []
+    least = LEAST_RELIEF * (2 * LEAST_INNER_CELLS - 1) * field.cell_mm
+    level = max(LEAST_CONTRAST * float(np.median(depth[field.filled])), least)
+    left, pieces = depth, []
     for _ in range(MOST_VALLEYS):
         peak = float(left.max())
-        if peak <= max(level, 1e-9):
+        if peak <= level:
             break
-        names, count = ndimage.label(left > FLANK_SHARE * peak, _EIGHT)
-        volumes = ndimage.sum_labels(left, names, np.arange(1, count + 1))
+        names, _ = ndimage.label(left > FLANK_SHARE * peak, _EIGHT)
+        volumes = np.bincount(names.ravel(), weights=left.ravel())[1:]
         boxes = ndimage.find_objects(names)
         for name in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS] + 1:
-            piece = _piece(names == name, boxes[name - 1], depth, field)
+            piece = _piece(names[boxes[name - 1]] == name, boxes[name - 1], depth, field)
             if piece is not None:
                 pieces.append(piece)
-        left[ndimage.binary_dilation(names > 0, _EIGHT, iterations=2)] = 0
+        left = _cleared(left, FLANK_SHARE * peak)
     return pieces
 
 
-def _piece(cells: Flags, box: tuple[slice, slice], depth: Floats, field: HeightField) -> _Piece | None:
-    """Measure a piece, all within ``box``; nothing where it is no long narrow valley."""
-    inner = ndimage.distance_transform_edt(np.pad(cells[box], 1))
-    width = (2 * float(inner.max()) - 1) * field.cell_mm
-    area = float(cells.sum()) * field.cell_mm**2
-    deep = float(np.percentile(depth[cells], 75))
-    if inner.max() < LEAST_INNER_CELLS or area < LEAST_ASPECT * width**2 or deep < LEAST_RELIEF * width:
+def _piece(inside: Flags, box: tuple[slice, slice], depth: Floats, field: HeightField) -> _Piece | None:
+    """Measure the piece that is ``inside`` a ``box`` of the field; nothing where it is no long narrow valley."""
+    area = int(inside.sum())
+    if area < LEAST_ASPECT * (2 * LEAST_INNER_CELLS - 1) ** 2:
         return None
-    return _Piece(cells, deep, width, float(depth[cells].sum()) * field.cell_mm**2)
+    inner = float(ndimage.distance_transform_edt(np.pad(inside, 1)).max())
+    if inner < LEAST_INNER_CELLS or area < LEAST_ASPECT * (2 * inner - 1) ** 2:
+        return None
+    width, depths = (2 * inner - 1) * field.cell_mm, depth[box][inside]
+    deep = float(np.percentile(depths, 75))
+    if deep < LEAST_RELIEF * width:
+        return None
+    cells = np.zeros(depth.shape, dtype=bool)
+    cells[box] = inside
+    return _Piece(cells, deep, width, float(depths.sum()) * field.cell_mm**2)
 
 
-def _arms(piece: _Piece, path: Floats, depth: Floats, field: HeightField) -> list[_Piece]:
+def _arms(piece: _Piece, path: Floats, filling: _Filling) -> list[_Piece]:
     """What a path (M, 3) through a piece leaves aside: the arms of crossing and branching grooves."""
+    depth, field = filling.depth, filling.field
     off_path = np.ones(piece.cells.shape, dtype=bool)
     off_path[tuple((path[:, :2] / field.cell_mm).astype(int).T)] = False
     box = ndimage.find_objects(piece.cells.astype(np.int8))[0]
@@ -158,18 +187,17 @@ def _arms(piece: _Piece, path: Floats, depth: Floats, field: HeightField) -> lis
     arms = []
     for name in np.flatnonzero(np.bincount(names.ravel()) >= LEAST_ASPECT * (2 * LEAST_INNER_CELLS) ** 2):
         if name > 0:
-            cells = np.zeros_like(piece.cells)
-            cells[box] = names == name
-            arms.append(_piece(cells, box, depth, field))
+            arms.append(_piece(names == name, box, depth, field))
     return [arm for arm in arms if arm is not None]
 
 
-def _path(piece: _Piece, surface: Floats, depth: Floats, field: HeightField) -> Floats:
-    """Path (M, 3) from one end of the piece to the other that keeps to the deepest cells."""
+def _valley(piece: _Piece, filling: _Filling) -> Valley:
+    """The piece with its path from one end to the other, which keeps to the deepest cells."""
+    depth, field = filling.depth, filling.field
     rows, columns = np.nonzero(piece.cells)
     index = np.full(piece.cells.shape, -1)
     index[rows, columns] = np.arange(len(rows))
-    nodes = np.column_stack([field.positions(rows, columns), surface[rows, columns]])
+    nodes = np.column_stack([field.positions(rows, columns), filling.surface[rows, columns]])
     local = ndimage.maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
     share = (depth / np.maximum(local, 1e-9))[rows, columns]
     starts, ends = [], []
@@ -187,14 +215,27 @@ def _path(piece: _Piece, surface: Floats, depth: Floats, field: HeightField) -> 
     def graph(weights: Floats) -> coo_matrix:
         return coo_matrix((weights, (start, end)), shape=(len(nodes), len(nodes))).tocsr()
 
-    first = _farthest(dijkstra(graph(length), directed=False, indices=0))
-    last = _farthest(dijkstra(graph(length), directed=False, indices=first))
+    lengths = graph(length)
+    first = _farthest(dijkstra(lengths, directed=False, indices=0))
+    last = _farthest(dijkstra(lengths, directed=False, indices=first))
     _, before = dijkstra(graph(cost), directed=False, indices=first, return_predecessors=True)
     way = [last]
     while way[-1] != first:
         way.append(int(before[way[-1]]))
-    return nodes[way[::-1]]
+    return Valley(nodes[way[::-1]], piece.depth_mm, piece.width_mm, piece.volume_mm3)
 
 
 def _farthest(distances: Floats) -> int:
     return int(np.where(np.isfinite(distances), distances, -1).argmax())
+
+
+@njit(cache=True, nogil=True)
+def _cleared(depth, level):
+    """A depth map (R, C) without what is deeper than a level, and without two cells around it."""
+    result = depth.copy()
+    rows, columns = depth.shape
+    for i in range(rows):
+        for j in range(columns):
+            if depth[i, j] > level:
+                result[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3] = 0
+    return result
