@@ -3,8 +3,7 @@
 import numpy as np
 
 from grindvision.vision.groove_profile import BEND, DEPTH, LEFT, LEVEL, RIGHT, ROOT, TILT, profile_height
-
-ROUNDS, SETTLED = 40, 1e-9
+from grindvision.vision.profile_fit import ROUNDS, SETTLED
 
 
 def fit_profiles(sections, start, spread, corners, noise_mm):
@@ -26,7 +25,7 @@ def fit_profiles(sections, start, spread, corners, noise_mm):
         normal = np.einsum("smi,sm,smj->sij", slopes, weight, slopes) + prior[:, :, None] * np.eye(7)
         return normal, np.einsum("smi,sm,sm->si", slopes, weight, off) - prior * (theta - start), off, weight
 
-    cost = cost_of(theta)
+    cost, active = cost_of(theta), np.ones(len(start), dtype=bool)
     for _ in range(ROUNDS):
         normal, force, _, _ = equations(theta)
         damped = normal * (1 + damping[:, None, None] * np.eye(7))
@@ -36,12 +35,11 @@ def fit_profiles(sections, start, spread, corners, noise_mm):
         trial[:, RIGHT] = np.maximum(trial[:, RIGHT], trial[:, ROOT] + gap)
         trial[:, DEPTH] = np.maximum(trial[:, DEPTH], 0.0)
         trial_cost = cost_of(trial)
-        better = trial_cost < cost
-        settled = (np.abs(cost - trial_cost) <= SETTLED * cost).all() and (damping < 1).all()
+        better = active & (trial_cost < cost)
+        settled = (np.abs(cost - trial_cost) <= SETTLED * cost) & (damping < 1)
         theta, cost = np.where(better[:, None], trial, theta), np.where(better, trial_cost, cost)
         damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-7, 1e5)
-        if settled:
-            break
+        active &= ~settled
     normal, _, off, weight = equations(theta)
     deviation = np.sqrt(np.einsum("sii->si", np.linalg.inv(normal)))
     return theta, deviation, np.sqrt((weight * off**2).sum(axis=1) / weight.sum(axis=1))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from grindvision.vision.seam_smoothing import smooth_along, smooth_to_noise
+from grindvision.vision.seam_smoothing import GAP, JUDGED, OUTLIER, PERIOD, smooth_along, smooth_to_noise
 
 STEP_MM = 0.7
 ALONG_MM = STEP_MM * np.arange(300)
@@ -22,6 +22,32 @@ def test_smoothing_keeps_lines_and_bridges_gaps():
     spoilt = line.copy()
     spoilt[45] += 20
     np.testing.assert_allclose(smooth_along(spoilt, np.ones(60), 10, 1, robust=True), line, atol=0.05)
+
+
+def test_smoothing_solves_its_equations(rng):
+    for count in (3, 4, 5, 40):
+        values, weights = rng.standard_normal(count), rng.random(count)
+        bending = np.diff(np.eye(count), 2, axis=0)
+        matrix = np.diag(weights / weights.max()) + 3.0**4 * bending.T @ bending
+        expected = np.linalg.solve(matrix, weights / weights.max() * values)
+        np.testing.assert_allclose(smooth_along(values, weights, 1.5, 0.5), expected, atol=1e-7)
+
+
+def test_the_stiffness_is_that_of_the_plain_cross_validation(rng):
+    values, weights = SEAM_MM[:90] + 0.1 * rng.standard_normal(90), rng.uniform(0.5, 1, 90)
+    weights[40:50] = 0
+    lengths = STEP_MM / 2 * np.sqrt(2) ** np.arange(17)
+    missed, place = np.empty((17, 90)), np.arange(90)
+    for turn in range(PERIOD // JUDGED):
+        in_period = (place + turn * JUDGED) % PERIOD
+        judged = np.abs(in_period - GAP // 2) <= JUDGED // 2
+        kept = np.where(in_period < GAP, 0, weights)
+        for trial, length in enumerate(lengths):
+            missed[trial, judged] = (values - smooth_along(values, kept, length, STEP_MM))[judged]
+    scaled = np.abs(missed) * np.sqrt(weights / weights.max())
+    limit = OUTLIER * np.median(scaled[:, weights > 0], axis=1).min()
+    best = np.argmin((np.minimum(scaled, limit) ** 2).sum(axis=1))
+    assert smooth_to_noise(values, weights, STEP_MM)[1] == pytest.approx(lengths[best])
 
 
 def test_without_noise_the_values_themselves_come_back():

@@ -33,8 +33,9 @@ Integers = NDArray[np.int64]
 NEIGHBOUR_SHARE = 0.1
 #: A groove is at least so many standard deviations of its points' scatter deep.
 LEAST_DEPTH_IN_SCATTER = 3.0
-#: Points so near to the root, in shares of the width, tell where the groove ends; there they are half as dense.
-CORE_SHARE, COVERED_SHARE = 0.08, 0.5
+#: Points so near to the root, in shares of the width, tell where the groove ends: there, over this window to both
+#: sides along the seam, they are half as many as farther in.
+CORE_SHARE, END_WINDOW, COVERED_SHARE = 0.08, 0.35, 0.5
 #: The two ends of a ring point the same way within this angle.
 RING_TURN_RAD = np.radians(50)
 #: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
@@ -238,17 +239,22 @@ def _depth_centres(sections: Sections, theta: Floats, corners: Corners, first: i
 
 
 def _covered(along: Floats, first: int, last: int, step: float, width: float) -> tuple[int, int]:
-    """Cut stations off both ends where the root already lies beyond the part: no points on it, or half of the usual.
+    """Cut stations off both ends where the root already lies beyond the part: the points about it are too few.
 
-    Usual is what stations a little farther in hold; the density may well fall slowly along the seam.
+    About the end of what is seen, a window along the root is half full. Usual is what the next width farther in holds;
+    the density may well fall slowly along the seam.
     """
-    # Stations can be finer than the rows of points; two of them together always hold about the same number.
-    counts = np.bincount(np.clip(along / step + 0.5, 0, last).astype(int), minlength=last + 1)
-    pairs = counts[:-1] + counts[1:]
-    inward = max(int(width / step), 3)
-    while last - first > 2 * inward and pairs[first] < COVERED_SHARE * np.median(pairs[first + 1 : first + inward]):
+    along = np.sort(along)
+    half = END_WINDOW * width
+
+    def thin(station: int, inward: int) -> bool:
+        places = station * step + inward * np.array([-half, half, half + width])
+        outer, inner = np.abs(np.diff(np.searchsorted(along, places)))
+        return outer < COVERED_SHARE * inner * 2 * half / width
+
+    while last - first > 2 * width / step and thin(first, 1):
         first += 1
-    while last - first > 2 * inward and pairs[last - 2] < COVERED_SHARE * np.median(pairs[last - inward : last - 2]):
+    while last - first > 2 * width / step and thin(last - 1, -1):
         last -= 1
     return first, last
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 #: Damped Gauss-Newton steps at most; a station whose cost changes by less than ``SETTLED`` of itself is left alone.
-ROUNDS, SETTLED = 14, 1e-4
+ROUNDS, SETTLED = 14, 1e-5
 #: Residuals beyond so many times the expected deviation count linearly (Huber).
 LINEAR_BEYOND = 2.0
 
