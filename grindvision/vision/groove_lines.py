@@ -33,9 +33,10 @@ Integers = NDArray[np.int64]
 NEIGHBOUR_SHARE = 0.1
 #: A groove is at least so many standard deviations of its points' scatter deep.
 LEAST_DEPTH_IN_SCATTER = 3.0
-#: Points so near to the root, in shares of the width, tell where the groove ends: there, over this window to both
-#: sides along the seam, they are half as many as farther in.
-CORE_SHARE, END_WINDOW, COVERED_SHARE = 0.08, 0.35, 0.5
+#: Points so near to the root, in shares of the width, tell where the groove ends; there they are half as dense.
+CORE_SHARE, COVERED_SHARE = 0.08, 0.5
+#: Fewer than so many points in two stations tell nothing; then this share of the width to both sides is looked at.
+LEAST_IN_WINDOW, WINDOW_SHARE = 8, 0.35
 #: The two ends of a ring point the same way within this angle.
 RING_TURN_RAD = np.radians(50)
 #: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
@@ -239,24 +240,27 @@ def _depth_centres(sections: Sections, theta: Floats, corners: Corners, first: i
 
 
 def _covered(along: Floats, first: int, last: int, step: float, width: float) -> tuple[int, int]:
-    """Cut stations off both ends where the root already lies beyond the part: the points about it are too few.
+    """Cut stations off both ends where the root already lies beyond the part: no points on it, or half of the usual.
 
-    About the end of what is seen, a window along the root is half full. Usual is what the next width farther in holds;
-    the density may well fall slowly along the seam.
+    They are counted over two stations, which can be finer than the rows of points, or, where these usually hold too few
+    to tell, over a longer window. Usual is what stations a little farther in hold; the density may well fall slowly.
     """
-    along = np.sort(along)
-    half = END_WINDOW * width
+    counts = np.bincount(np.maximum(along / step + 0.5, 0).astype(int), minlength=last + 1)
+    dense = 2 * np.median(counts[first:last]) >= LEAST_IN_WINDOW
+    size = 2 if dense else 2 * int(WINDOW_SHARE * width / step) + 1
+    inward = max(int(width / step), 3)
 
-    def thin(station: int, inward: int) -> bool:
-        places = station * step + inward * np.array([-half, half, half + width])
-        outer, inner = np.abs(np.diff(np.searchsorted(along, places)))
-        return outer < COVERED_SHARE * inner * 2 * half / width
+    def thin_stations(counts: Integers, first: int) -> int:
+        windows = np.convolve(counts, np.ones(size))[size // 2 :]  # about station k
+        thin = 0
+        while last - first - thin > 2 * inward:
+            farther_in = windows[first + thin + size - 1 :][:inward]
+            if windows[first + thin] >= COVERED_SHARE * np.median(farther_in):
+                break
+            thin += 1
+        return thin
 
-    while last - first > 2 * width / step and thin(first, 1):
-        first += 1
-    while last - first > 2 * width / step and thin(last - 1, -1):
-        last -= 1
-    return first, last
+    return first + thin_stations(counts, first), last - thin_stations(counts[::-1], len(counts) - last)
 
 
 def _both_sides_share(sections: Sections, theta: Floats, first: int, last: int) -> float:
