@@ -60,7 +60,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
     width = 1.3 * max(valley.width_mm, LEAST_POINTS_ACROSS * spacing_mm)
     depth = valley.depth_mm
     noise = 0.05 * depth
-    step = max(1.5 * spacing_mm, width / 12)
+    step = _step(width, spacing_mm)
     path = build_curve(valley.path, np.array([0.0, 0.0, 1.0]), step)
     curve = build_curve(smooth_along(path.stations, np.ones(len(path)), width / 2, step), path.up, step)
     margin = int(width / step)
@@ -93,7 +93,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         length += grown
         if (number >= 2 and (ring or abs(grown) < 2 * curve.step_mm)) or number == _PASSES - 1:
             break
-        curve = _recentred(curve, fit, first, last, width)
+        curve = _recentred(curve, fit, first, last, width, _step(width, spacing_mm))
         turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
     groove = groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise)
@@ -104,6 +104,10 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
 
 def _part(curve: SeamCurve, first: int, last: int) -> SeamCurve:
     return build_curve(curve.stations[first:last], curve.up[first:last], curve.step_mm)
+
+
+def _step(width: float, spacing: float) -> float:
+    return max(1.5 * spacing, width / 12)
 
 
 def _is_groove(width: float, depth: float, length: float, spacing: float) -> bool:
@@ -179,8 +183,8 @@ def _stations_inside(
     return int(run[0]), int(run[-1]) + 1
 
 
-def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: float) -> SeamCurve:
-    """Stations ``first`` to ``last`` moved onto the surface above the root, up turned onto the surface's normal.
+def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: float, step_mm: float) -> SeamCurve:
+    """Stations ``first`` to ``last`` moved onto the surface above the root, up turned onto its normal, at a new step.
 
     Positions and directions are smoothed as they stand, not only their changes: a kink, once in the curve, would
     otherwise turn the sections there and come back worse in the next pass.
@@ -200,5 +204,5 @@ def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: 
     return build_curve(
         smooth_along(stations, even, width / 2, step),
         smooth_along(up - tilt[:, None] * across, even, width / 2, step),
-        step,
+        step_mm,
     )
