@@ -58,16 +58,7 @@ def coarser(field: HeightField, factor: int) -> HeightField:
     """The same field over cells that each take ``factor`` x ``factor`` of its own."""
     if factor == 1:
         return field
-
-    def merged(values: NDArray) -> NDArray:
-        rest = [(0, -size % factor) for size in values.shape]
-        padded = np.pad(values, rest)
-        rows, columns = (size // factor for size in padded.shape)
-        return padded.reshape(rows, factor, columns, factor).sum(axis=(1, 3))
-
-    counts = merged(field.counts)
-    sums = merged(np.where(field.filled, field.heights_mm * field.counts, 0.0))
-    heights = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    heights, counts = _merged(field.heights_mm, field.counts, factor)
     return HeightField(field.T_field_cloud, field.cell_mm * factor, heights, counts)
 
 
@@ -132,10 +123,28 @@ def _cell_means(points, frame, cell, rows, columns):
         j = int((frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3]) / cell)
         totals[i, j] += frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3]
         counts[i, j] += 1
-    for i in range(rows):
-        for j in range(columns):
+    return _divided(totals, counts), counts
+
+
+@njit(cache=True, nogil=True)
+def _merged(heights, counts, factor):
+    """Mean heights and counts over blocks of ``factor`` x ``factor`` cells."""
+    shape = ((heights.shape[0] + factor - 1) // factor, (heights.shape[1] + factor - 1) // factor)
+    totals, numbers = np.zeros(shape), np.zeros(shape, np.int64)
+    for i in range(heights.shape[0]):
+        for j in range(heights.shape[1]):
+            if counts[i, j] > 0:
+                totals[i // factor, j // factor] += counts[i, j] * heights[i, j]
+                numbers[i // factor, j // factor] += counts[i, j]
+    return _divided(totals, numbers), numbers
+
+
+@njit(cache=True, nogil=True)
+def _divided(totals, counts):
+    for i in range(totals.shape[0]):
+        for j in range(totals.shape[1]):
             totals[i, j] = totals[i, j] / counts[i, j] if counts[i, j] > 0 else np.nan
-    return totals, counts
+    return totals
 
 
 @njit(cache=True, nogil=True)

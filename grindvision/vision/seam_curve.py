@@ -134,35 +134,30 @@ def _paint_nearest(stations, corner, cell, rows, columns, reach):
 @njit(cache=True, nogil=True)
 def _curve_coordinates(points, frame, nearest, corner, cell, stations, along, across, up, step, limits):
     rows, columns = nearest.shape
-    kept = 0
-    for counting in (True, False):
-        if not counting:
-            index, place = np.empty(kept, np.int64), np.empty((kept, 3))
-            kept = 0
-        for p in range(len(points)):
-            px, py, pz = points[p, 0], points[p, 1], points[p, 2]
-            x = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz + frame[0, 3]
-            y = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz + frame[1, 3]
-            i, j = int((x - corner[0]) / cell), int((y - corner[1]) / cell)
-            if x < corner[0] or y < corner[1] or i >= rows or j >= columns or nearest[i, j] < 0:
-                continue
-            z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
-            k = nearest[i, j]
-            for _ in range(100):
-                dx, dy, dz = x - stations[k, 0], y - stations[k, 1], z - stations[k, 2]
-                ahead = dx * along[k, 0] + dy * along[k, 1] + dz * along[k, 2]
-                if ahead > 0.6 * step and k < len(stations) - 1:
-                    k += 1
-                elif ahead < -0.6 * step and k > 0:
-                    k -= 1
-                else:
-                    break
-            side = dx * across[k, 0] + dy * across[k, 1] + dz * across[k, 2]
-            rise = dx * up[k, 0] + dy * up[k, 1] + dz * up[k, 2]
-            if abs(side) > limits[0] or rise < limits[1] or rise > limits[2] or abs(ahead) > 2 * step:
-                continue
-            if not counting:
-                index[kept] = p
-                place[kept, 0], place[kept, 1], place[kept, 2] = k * step + ahead, side, rise
-            kept += 1
-    return index, place
+    index, place, kept = np.empty(len(points), np.int64), np.empty((len(points), 3)), 0
+    for p in range(len(points)):
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        x = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz + frame[0, 3]
+        y = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz + frame[1, 3]
+        i, j = int((x - corner[0]) / cell), int((y - corner[1]) / cell)
+        if x < corner[0] or y < corner[1] or i >= rows or j >= columns or nearest[i, j] < 0:
+            continue
+        z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
+        k = nearest[i, j]
+        for _ in range(100):
+            dx, dy, dz = x - stations[k, 0], y - stations[k, 1], z - stations[k, 2]
+            ahead = dx * along[k, 0] + dy * along[k, 1] + dz * along[k, 2]
+            if ahead > 0.6 * step and k < len(stations) - 1:
+                k += 1
+            elif ahead < -0.6 * step and k > 0:
+                k -= 1
+            else:
+                break
+        side = dx * across[k, 0] + dy * across[k, 1] + dz * across[k, 2]
+        rise = dx * up[k, 0] + dy * up[k, 1] + dz * up[k, 2]
+        if abs(side) > limits[0] or rise < limits[1] or rise > limits[2] or abs(ahead) > 2 * step:
+            continue
+        index[kept] = p
+        place[kept, 0], place[kept, 1], place[kept, 2] = k * step + ahead, side, rise
+        kept += 1
+    return index[:kept].copy(), place[:kept].copy()
