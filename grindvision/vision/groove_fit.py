@@ -200,9 +200,10 @@ def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: 
     here = slice(first, last)
     across, up = curve.across[here], curve.up[here]
     stations = curve.stations[here] + shift[:, None] * across + (level + tilt * shift)[:, None] * up
-    even = np.ones(last - first)
-    return build_curve(
-        smooth_along(stations, even, width / 2, step),
-        smooth_along(up - tilt[:, None] * across, even, width / 2, step),
-        step_mm,
-    )
+    # Continued with its bend before it is smoothed: a smoothed line would end straight, above a pipe's groove.
+    raw = build_curve(stations, up - tilt[:, None] * across, step)
+    longer = extended(raw, 2 * width, 2 * width, base_mm=3 * width)
+    here = slice(int(2 * width / step), len(longer) - int(2 * width / step))
+    even = np.ones(len(longer))
+    stations, up = (smooth_along(line, even, width / 2, step)[here] for line in (longer.stations, longer.up))
+    return build_curve(stations, up, step_mm)
