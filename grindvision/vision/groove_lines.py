@@ -69,9 +69,10 @@ class DetectedGroove:
 
     @property
     def length_mm(self) -> float:
-        """Length of the root line, all round for a closed groove."""
+        """Length of the groove, all round for a closed one; each station stands for a step, half of it to each side."""
         line = np.concatenate([self.root, self.root[:1]]) if self.closed else self.root
-        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+        ends = 0.0 if self.closed else self.step_mm
+        return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) + ends
 
     @property
     def volume_mm3(self) -> float:

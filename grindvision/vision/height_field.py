@@ -75,11 +75,11 @@ def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
 
 
 def smoothed(field: HeightField, sigma_mm: float) -> Floats:
-    """Heights (R, C) after a Gaussian of ``sigma_mm`` that knows which cells are empty; NaN stays NaN."""
+    """Heights (R, C) after a Gaussian of ``sigma_mm`` that knows which cells are empty, float32; NaN stays."""
     sigma = sigma_mm / field.cell_mm
     reach = int(3 * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
-    level = np.nanmean(field.heights_mm)
+    level = float(np.nanmean(field.heights_mm))
     return _weighted_means((field.heights_mm - level).astype(np.float32), kernel.astype(np.float32)) + level
 
 
@@ -96,8 +96,7 @@ def closed(heights_mm: Floats, radius_cells: float) -> Floats:
     reach = np.sqrt(squared[squared >= 0]).astype(np.int64)
     lifted = _disc_maximum(low, reach)
     lowered = -_disc_maximum(-lifted, reach)
-    result = lowered[margin:-margin, margin:-margin].astype(float)
-    return np.where(np.isfinite(heights_mm), np.maximum(result, heights_mm), np.nan)
+    return np.where(np.isfinite(heights_mm), np.maximum(lowered[margin:-margin, margin:-margin], heights_mm), np.nan)
 
 
 @njit(cache=True, nogil=True)
@@ -162,7 +161,7 @@ def _weighted_means(values, kernel):
                 known = here[j] == here[j]
                 total[j] += weight * here[j] if known else np.float32(0)
                 share[j] += weight if known else np.float32(0)
-    means = np.empty((rows, columns))
+    means = np.empty((rows, columns), np.float32)
     total, share = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for i in range(rows):
         total[:], share[:] = 0, 0
@@ -170,7 +169,7 @@ def _weighted_means(values, kernel):
             total += kernel[k] * sums[0, i, k : k + columns]
             share += kernel[k] * sums[1, i, k : k + columns]
         for j in range(columns):
-            means[i, j] = total[j] / share[j] if values[i, j] == values[i, j] else np.nan
+            means[i, j] = total[j] / share[j] if values[i, j] == values[i, j] else np.float32(np.nan)
     return means
 
 

@@ -126,7 +126,7 @@ def _fill(finest: HeightField, radius_mm: float) -> _Filling:
     field = coarser(finest, max(int(radius_mm / (CELLS_PER_RADIUS * finest.cell_mm)), 1))
     heights = smoothed(field, SMOOTHING_SHARE * radius_mm)
     surface = closed(heights, radius_mm / field.cell_mm)
-    depth = np.where(field.filled, surface - heights, 0.0)
+    depth = np.where(field.filled, surface - heights, np.float32(0))
     return _Filling(field, surface, depth, _pieces(depth, field))
 
 
