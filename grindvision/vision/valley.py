@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from grindvision.vision.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -100,8 +100,8 @@ def find_valleys(
     """
     radii = [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm)
     finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS))
-    with ThreadPoolExecutor(2) as pool:
-        fillings = [one for one in pool.map(lambda radius: _fill(finest, radius), radii) if one.volume_mm3 > 0]
+    filled = side_by_side(lambda radius: _fill(finest, radius), radii)
+    fillings = [filling for filling in filled if filling.volume_mm3 > 0]
     first, most = 0, 0.0
     for number, filling in enumerate(fillings):
         if most < ENOUGH_VOLUME * filling.volume_mm3:
