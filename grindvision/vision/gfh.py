@@ -171,7 +171,7 @@ def _angles(
     found = np.empty(1024, np.int64)
     near = np.empty((7, 1024), np.float32)
     limit = radius * radius
-    zero, one, degrees = np.float32(0), np.float32(1), np.float32(180 / np.pi)
+    zero, one, two, degrees = np.float32(0), np.float32(1), np.float32(2), np.float32(180 / np.pi)
     k0, k1, k2, k3 = (
         np.float32(1.5707963050),
         np.float32(-0.2145988016),
@@ -207,13 +207,14 @@ def _angles(
             for m in range(count):
                 dx, dy, dz = near[0, m] - px, near[1, m] - py, near[2, m] - pz
                 w = one if dx * dx + dy * dy + dz * dz <= limit else zero
-                cosine = nx * near[3, m] + ny * near[4, m] + nz * near[5, m]
+                bx, by, bz = near[3, m] - nx, near[4, m] - ny, near[5, m] - nz
+                # 1 - cosine from the chord: in single precision a cosine near 1 leaves 0.02 deg of an angle of 0
+                fall = (bx * bx + by * by + bz * bz) / two
+                short = max(min(fall, two - fall), zero)
+                c = one - short
                 # acos by Abramowitz and Stegun 4.4.46, error below 2e-8 rad
-                c = min(abs(cosine), one)
-                bend = np.sqrt(one - c) * (
-                    k0 + c * (k1 + c * (k2 + c * (k3 + c * (k4 + c * (k5 + c * (k6 + c * k7))))))
-                )
-                t = degrees * (bend if cosine >= zero else pi - bend)
+                bend = np.sqrt(short) * (k0 + c * (k1 + c * (k2 + c * (k3 + c * (k4 + c * (k5 + c * (k6 + c * k7)))))))
+                t = degrees * (bend if fall <= one else pi - bend)
                 g = near[6, m] - here
                 n += w
                 t1 += w * t
