@@ -156,7 +156,7 @@ def _grooves_seen(
             for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
                 if not _known(path, found):
-                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing)
+                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
             if len(found) > before:
                 cluttered = cluttered or look > 0

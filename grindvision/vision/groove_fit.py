@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, label
+from scipy.spatial import cKDTree
 
+from grindvision.geometry import inverse, move_points
 from grindvision.vision.groove_lines import SHARP, DetectedGroove, groove_lines, one_round, weights_of
 from grindvision.vision.groove_profile import (
     DEPTH,
@@ -28,7 +31,7 @@ from grindvision.vision.seam_smoothing import smooth_along
 from grindvision.vision.valley import Valley
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 #: A groove's width is at least so many point spacings.
 LEAST_POINTS_ACROSS = 4.0
@@ -55,8 +58,14 @@ CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.
 _PASSES = 10
 
 
-def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm: float) -> DetectedGroove | None:
-    """Fit edges and root along a valley; None where no V-groove fits it."""
+def fit_groove(
+    cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm: float, known: Sequence[DetectedGroove] = ()
+) -> DetectedGroove | None:
+    """Fit edges and root along a valley; None where no V-groove fits it.
+
+    It ends where it meets one of the ``known`` grooves: the arms of a crossing are grooves of their own, however narrow
+    the groove between them.
+    """
     width = 1.3 * max(valley.width_mm, LEAST_POINTS_ACROSS * spacing_mm)
     depth = valley.depth_mm
     noise = 0.05 * depth
@@ -79,7 +88,8 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         if number in (1, 2):
             corners = _corners(sections, start, spread, width, noise)
         fit = fit_profiles(sections, start, spread, corners, noise)
-        inside = _stations_inside(fit, sections, width, depth, 1.0 if number > 1 else 2.5)
+        free = ~_taken(move_points(inverse(T_field_cloud), curve.stations), known)
+        inside = _stations_inside(fit, sections, width, depth, 1.0 if number > 1 else 2.5, free)
         if inside is None:
             return None
         first, last = inside
@@ -96,7 +106,7 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
         curve = _recentred(curve, fit, first, last, width, _step(width, spacing_mm))
         turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
-    groove = groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise)
+    groove = groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise, spacing_mm)
     if groove is None or (groove.edges_seen < LEAST_BOTH_SIDES and depth < ONE_SIDED_WALL_SLOPE * width / 2):
         return None
     return groove
@@ -104,6 +114,15 @@ def fit_groove(cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm:
 
 def _part(curve: SeamCurve, first: int, last: int) -> SeamCurve:
     return build_curve(curve.stations[first:last], curve.up[first:last], curve.step_mm)
+
+
+def _taken(stations: Floats, known: Sequence[DetectedGroove]) -> Flags:
+    """Which of the stations (S, 3), in the cloud's frame, lie between the edges of known grooves."""
+    taken = np.zeros(len(stations), dtype=bool)
+    for groove in known:
+        away, nearest = cKDTree((groove.left + groove.right) / 2).query(stations)
+        taken |= away < groove.width_mm[nearest] / 2
+    return taken
 
 
 def _step(width: float, spacing: float) -> float:
@@ -149,11 +168,11 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
 
 
 def _stations_inside(
-    fit: ProfileFit, sections: Sections, width: float, depth: float, looseness: float
+    fit: ProfileFit, sections: Sections, width: float, depth: float, looseness: float, free: Flags
 ) -> tuple[int, int] | None:
     """Longest run of stations (first, behind last) that show the groove; short gaps are bridged.
 
-    ``looseness`` widens the limits while the curve is not yet well placed.
+    Stations that are not ``free`` (S,) end it. ``looseness`` widens the limits while the curve is not yet well placed.
     """
     theta = fit.parameters
     widths = theta[:, RIGHT] - theta[:, LEFT]
@@ -172,10 +191,10 @@ def _stations_inside(
     shapely = (np.abs(place - 0.5) < WORST_SKEW) & (
         np.abs(np.log(widths / width)) < looseness * np.log(WORST_WIDTH_RATIO)
     )
-    shown = seen & deep & fitting & sure & near & shapely
+    shown = seen & deep & fitting & sure & near & shapely & free
     if not shown.any():
         return None
-    bridged = binary_closing(np.pad(shown, 9), np.ones(9))[9:-9]
+    bridged = binary_closing(np.pad(shown, 9), np.ones(9))[9:-9] & free
     names, count = label(bridged)
     run = np.flatnonzero(names == 1 + np.argmax([(names == name).sum() for name in range(1, count + 1)]))
     if shown[run].mean() < 0.6 or len(run) < 4:

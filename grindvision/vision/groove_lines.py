@@ -52,6 +52,7 @@ class DetectedGroove:
     ``normals`` of the surface around, all (S, 3).
     ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
     standard deviation of the root across the seam. ``edges_seen`` is the share of stations with surface on both sides.
+    ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
     A ``closed`` groove is a ring: its last station is followed by its first.
     """
 
@@ -65,13 +66,14 @@ class DetectedGroove:
     root_deviation_mm: Floats
     step_mm: float
     edges_seen: float
+    ends_mm: float = 0.0
     closed: bool = False
 
     @property
     def length_mm(self) -> float:
-        """Length of the groove, all round for a closed one; each station stands for a step, half of it to each side."""
+        """Length of the groove, all round for a closed one, else as far as its points show it."""
         line = np.concatenate([self.root, self.root[:1]]) if self.closed else self.root
-        ends = 0.0 if self.closed else self.step_mm
+        ends = 0.0 if self.closed else self.ends_mm
         return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) + ends
 
     @property
@@ -94,6 +96,7 @@ def groove_lines(
     run: tuple[int, int],
     spread: Floats,
     noise: float,
+    spacing_mm: float,
 ) -> DetectedGroove | None:
     """Lines and points of a fitted groove, in the cloud's frame.
 
@@ -131,6 +134,7 @@ def groove_lines(
     T_cloud_field = inverse(T_field_cloud)
     left, root, right = (move_points(T_cloud_field, placed[:, k]) for k in range(3))
     turns, closed = one_round(root, width)
+    ends_mm = _reach_of_ends(strip.along[core], first, last, step, spacing_mm)
     return DetectedGroove(
         members,
         root[:turns],
@@ -142,6 +146,7 @@ def groove_lines(
         theta.deviation[first:last, ROOT][:turns],
         step,
         _both_sides_share(sections, smooth, first, last),
+        ends_mm,
         closed,
     )
 
@@ -262,6 +267,18 @@ def _covered(along: Floats, first: int, last: int, step: float, width: float) ->
         return thin
 
     return first + thin_stations(counts, first), last - thin_stations(counts[::-1], len(counts) - last)
+
+
+def _reach_of_ends(along: Floats, first: int, last: int, step: float, spacing_mm: float) -> float:
+    """How far points near the root reach beyond the first and the last station, mm, both together.
+
+    A point stands for half a spacing to each side, a station for half a step; inside a station's half step it may also
+    end short of it.
+    """
+    start, end = first * step, (last - 1) * step
+    here = along[(along >= start - step / 2) & (along <= end + step / 2)]
+    reaches = np.array([start - here.min(initial=end), here.max(initial=start) - end]) + spacing_mm / 2
+    return float(np.clip(reaches, -step / 2, step / 2).sum())
 
 
 def _both_sides_share(sections: Sections, theta: Floats, first: int, last: int) -> float:
