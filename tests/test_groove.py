@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from grindvision.book import waypoints
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
+from grindvision.geometry import rotation_about
 from grindvision.vision.groove import find_grooves
 from grindvision.vision.groove_profile import Corners, Sections, fit_profiles, profile_height
 from grindvision.vision.height_field import closed, coarser, rasterise, smoothed
@@ -143,6 +144,17 @@ def test_crossing_and_branching_grooves_are_all_found(rng, ends_mm):
     assert len(found.grooves) == (3 if low < 0 else 2)
     for groove in found.grooves[1:]:
         assert np.abs(groove.root[:, 0] - 5).max() < 0.6 and groove.length_mm > 25
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_arms_of_a_crossing_are_found_from_any_view(seed):
+    rng, places = np.random.default_rng([seed, 20]), grid()
+    heights = np.minimum(vee(places[:, 1]), vee(places[:, 0] - 5, 8, 4))
+    points = cloud(places, heights, rng)
+    found = find_grooves(points @ rotation_about(rng.standard_normal(3), 0.05).T)
+    assert len(found.grooves) == 3
+    for groove in found.grooves:
+        assert groove.length_mm < np.ptp(points[groove.members], axis=0).max() + 1.5
 
 
 def test_shallow_wide_grooves_count_and_so_do_steep_narrow_ones(rng):
