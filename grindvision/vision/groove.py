@@ -152,13 +152,12 @@ def _grooves_seen(
     cluttered = False
     for frame in frames:
         for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
-            before = len(found)
             for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
                 if not _known(path, found):
                     groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
-            if len(found) > before:
+            if found:
                 cluttered = cluttered or look > 0
                 break
     return sorted(found, key=lambda groove: -groove.volume_mm3), cluttered
