@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from grindvision.vision.profile_fit import fit_stations
 from grindvision.vision.seam_curve import Strip
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -86,8 +87,13 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
     weight = weight / max(float(weight.max()), 1e-9) / noise_mm**2
     shape = np.array([corners.edge_mm, corners.root_mm, corners.floor_mm])
     gap = corners.floor_mm + sections.bin_mm
-    fitted = fit_stations(sections.across, sections.up, weight, start, prior, shape, float(noise_mm), gap)
-    return ProfileFit(*fitted, corners)
+
+    def fit_part(*part: Floats) -> tuple[Floats, Floats, Floats]:
+        return fit_stations(*part, shape, float(noise_mm), gap)
+
+    columns = (np.array_split(column, 2) for column in (sections.across, sections.up, weight, start, prior))
+    fitted = zip(*side_by_side(fit_part, *columns), strict=True)
+    return ProfileFit(*(np.concatenate(halves) for halves in fitted), corners)
 
 
 def profile_height(across: Floats, parameters: Floats, corners: Corners) -> Floats:

@@ -102,15 +102,16 @@ def closed(heights_mm: Floats, radius_cells: float) -> Floats:
 @njit(cache=True, nogil=True)
 def field_bounds(points, frame):
     """Lowest and highest coordinates (3,) of points (N, 3) in a field frame (4, 4)."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    x_low = y_low = z_low = np.inf
+    x_high = y_high = z_high = -np.inf
     for p in range(len(points)):
-        for k in range(3):
-            value = frame[k, 3]
-            for m in range(3):
-                value += frame[k, m] * points[p, m]
-            low[k] = min(low[k], value)
-            high[k] = max(high[k], value)
-    return low, high
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
+        x = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz + frame[0, 3]
+        y = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz + frame[1, 3]
+        z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
+        x_low, y_low, z_low = min(x_low, x), min(y_low, y), min(z_low, z)
+        x_high, y_high, z_high = max(x_high, x), max(y_high, y), max(z_high, z)
+    return np.array([x_low, y_low, z_low]), np.array([x_high, y_high, z_high])
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -14,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from grindvision.vision.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
 from grindvision.vision.threads import side_by_side
+from grindvision.vision.valley_parts import cleared, connected_parts, inner_radius
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -21,8 +21,9 @@ Flags = NDArray[np.bool_]
 
 #: Gaussian before the closing, as a share of the disc's radius.
 SMOOTHING_SHARE = 0.13
-#: Cells of the raster per radius of the disc, where the cloud is dense enough.
-CELLS_PER_RADIUS = 12
+#: Cells of the raster per radius of the disc, where the cloud is dense enough: as many as the smallest disc, of eight
+#: spacings, has cells of 1.2 spacings.
+CELLS_PER_RADIUS = 6.6
 #: A valley ends where its depth falls below this share of the deepest place.
 FLANK_SHARE = 0.3
 #: A groove is at least so deep for its width, and so long for its width; waviness of a plate is far flatter.
@@ -123,7 +124,7 @@ def _valleys(filling: _Filling) -> list[Valley]:
 
 def _fill(finest: HeightField, radius_mm: float) -> _Filling:
     """What a closing with a disc fills, on the finest raster that it needs."""
-    field = coarser(finest, max(int(radius_mm / (CELLS_PER_RADIUS * finest.cell_mm)), 1))
+    field = coarser(finest, max(round(radius_mm / (CELLS_PER_RADIUS * finest.cell_mm)), 1))
     heights = smoothed(field, SMOOTHING_SHARE * radius_mm)
     surface = closed(heights, radius_mm / field.cell_mm)
     depth = np.where(field.filled, surface - heights, np.float32(0))
@@ -148,14 +149,13 @@ def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
         peak = float(left.max())
         if peak <= level:
             break
-        names, _ = ndimage.label(left > FLANK_SHARE * peak, _EIGHT)
-        volumes = np.bincount(names.ravel(), weights=left.ravel())[1:]
-        boxes = ndimage.find_objects(names)
-        for name in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS] + 1:
-            piece = _piece(names[boxes[name - 1]] == name, boxes[name - 1], depth, field)
+        names, volumes, boxes = connected_parts(left, np.float32(FLANK_SHARE * peak))
+        for at in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS]:
+            box = slice(boxes[at, 0], boxes[at, 1]), slice(boxes[at, 2], boxes[at, 3])
+            piece = _piece(names[box] == at + 1, box, depth, field)
             if piece is not None:
                 pieces.append(piece)
-        left = _cleared(left, FLANK_SHARE * peak)
+        left = cleared(left, FLANK_SHARE * peak)
     return pieces
 
 
@@ -164,7 +164,7 @@ def _piece(inside: Flags, box: tuple[slice, slice], depth: Floats, field: Height
     area = int(inside.sum())
     if area < LEAST_ASPECT * (2 * LEAST_INNER_CELLS - 1) ** 2:
         return None
-    inner = float(ndimage.distance_transform_edt(np.pad(inside, 1)).max())
+    inner = inner_radius(inside)
     if inner < LEAST_INNER_CELLS or area < LEAST_ASPECT * (2 * inner - 1) ** 2:
         return None
     width, depths = (2 * inner - 1) * field.cell_mm, depth[box][inside]
@@ -227,15 +227,3 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
 
 def _farthest(distances: Floats) -> int:
     return int(np.where(np.isfinite(distances), distances, -1).argmax())
-
-
-@njit(cache=True, nogil=True)
-def _cleared(depth, level):
-    """A depth map (R, C) without what is deeper than a level, and without two cells around it."""
-    result = depth.copy()
-    rows, columns = depth.shape
-    for i in range(rows):
-        for j in range(columns):
-            if depth[i, j] > level:
-                result[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3] = 0
-    return result
