@@ -25,6 +25,7 @@ from grindvision.vision.groove_profile import (
 )
 from grindvision.vision.seam_curve import SeamCurve, Strip
 from grindvision.vision.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
+from grindvision.vision.threads import side_by_side
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -211,18 +212,20 @@ def _smooth_lines(
         return smooth_to_noise(values, weight, step)[0]
 
     result = np.empty_like(theta)
-    for parameter in (LEVEL, TILT, BEND, DEPTH):
-        result[:, parameter] = smooth(theta[:, parameter], parameter)
-    middle = smooth((theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT)
-    width = smooth(theta[:, RIGHT] - theta[:, LEFT], RIGHT)
+    middle, width = (theta[:, LEFT] + theta[:, RIGHT]) / 2, theta[:, RIGHT] - theta[:, LEFT]
+    root_height = profile_height(theta[:, ROOT, None], theta, fit.corners)[:, 0]
+    own = [theta[:, parameter] for parameter in (LEVEL, TILT, BEND, DEPTH, ROOT)]
+    *own, middle, width, root_height = side_by_side(
+        smooth, [*own, middle, width, root_height], [LEVEL, TILT, BEND, DEPTH, ROOT, ROOT, RIGHT, DEPTH]
+    )
+    result[:, [LEVEL, TILT, BEND, DEPTH, ROOT]] = np.stack(own, axis=1)
     result[:, LEFT], result[:, RIGHT] = middle - width / 2, middle + width / 2
     blunt = max(fit.corners.root_mm, fit.corners.floor_mm) > 1.5 * SHARP * np.median(width)
-    result[:, ROOT] = smooth(theta[:, ROOT], ROOT)
     root = smooth(_depth_centres(sections, result, fit.corners, first, last), ROOT) if blunt else result[:, ROOT]
     result[:, ROOT] = np.clip(root, result[:, LEFT] + 0.1 * width, result[:, RIGHT] - 0.1 * width)
     lines = np.stack([result[:, LEFT], result[:, ROOT], result[:, RIGHT]], axis=1)
     heights = profile_height(lines, result, fit.corners)
-    heights[:, 1] = smooth(profile_height(theta[:, ROOT, None], theta, fit.corners)[:, 0], DEPTH)
+    heights[:, 1] = root_height
     return lines, heights, result
 
 

@@ -43,11 +43,16 @@ class HeightField:
         return f"height field of {rows} x {columns} cells of {self.cell_mm:.3g} mm, {self.filled.mean():.0%} filled"
 
 
-def rasterise(points: ArrayLike, T_field_cloud: ArrayLike, cell_mm: float) -> HeightField:
-    """Mean height of the points (N, 3) over every cell; the frame is shifted so that all cells count from zero."""
+def rasterise(
+    points: ArrayLike, T_field_cloud: ArrayLike, cell_mm: float, bounds: tuple[Floats, Floats] | None = None
+) -> HeightField:
+    """Mean height of the points (N, 3) over every cell; the frame is shifted so that all cells count from zero.
+
+    ``bounds`` are the points' ``field_bounds`` for callers who know them.
+    """
     points = np.ascontiguousarray(points, dtype=float)
     frame = np.asarray(T_field_cloud, dtype=float)
-    low, high = field_bounds(points, frame)
+    low, high = bounds or field_bounds(points, frame)
     shifted = frame.copy()
     shifted[:2, 3] -= low[:2] - cell_mm / 2
     shape = np.floor((high[:2] - low[:2]) / cell_mm + 0.5).astype(int) + 1
@@ -66,7 +71,8 @@ def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
     """Typical distance in mm of neighbouring points over the field's plane: root of covered area per point."""
     points = np.ascontiguousarray(points, dtype=float)
     low, high = field_bounds(points, np.asarray(T_field_cloud, dtype=float))
-    field = rasterise(points, T_field_cloud, 2 * float(max(high[0] - low[0], high[1] - low[1])) / 200)
+    cell = 2 * float(max(high[0] - low[0], high[1] - low[1])) / 200
+    field = rasterise(points, T_field_cloud, cell, (low, high))
     cells = int(field.filled.sum())
     while cells * LEAST_POINTS_PER_CELL > len(points):
         field = coarser(field, 2)
@@ -152,23 +158,23 @@ def _weighted_means(values, kernel):
     """Means (R, C) of the values that are no NaN, weighted with a kernel (K,) along rows and columns; NaN stays."""
     rows, columns = values.shape
     half = len(kernel) // 2
-    sums = np.zeros((2, rows, columns + 2 * half), np.float32)
-    for i in range(rows):
-        here = values[i]
-        for k in range(max(i - half, 0), min(i + half + 1, rows)):
-            weight = kernel[k - i + half]
-            total, share = sums[0, k, half : half + columns], sums[1, k, half : half + columns]
-            for j in range(columns):
-                known = here[j] == here[j]
-                total[j] += weight * here[j] if known else np.float32(0)
-                share[j] += weight if known else np.float32(0)
     means = np.empty((rows, columns), np.float32)
+    totals, shares = np.empty(columns + 2 * half, np.float32), np.empty(columns + 2 * half, np.float32)
+    inner_totals, inner_shares = totals[half : half + columns], shares[half : half + columns]
     total, share = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for i in range(rows):
-        total[:], share[:] = 0, 0
+        totals[:], shares[:], total[:], share[:] = 0, 0, 0, 0
+        for k in range(max(i - half, 0), min(i + half + 1, rows)):
+            here, weight = values[k], kernel[k - i + half]
+            for j in range(columns):
+                known = here[j] == here[j]
+                inner_totals[j] += weight * here[j] if known else np.float32(0)
+                inner_shares[j] += weight if known else np.float32(0)
         for k in range(len(kernel)):
-            total += kernel[k] * sums[0, i, k : k + columns]
-            share += kernel[k] * sums[1, i, k : k + columns]
+            shifted_totals, shifted_shares = totals[k : k + columns], shares[k : k + columns]
+            for j in range(columns):
+                total[j] += kernel[k] * shifted_totals[j]
+                share[j] += kernel[k] * shifted_shares[j]
         for j in range(columns):
             means[i, j] = total[j] / share[j] if values[i, j] == values[i, j] else np.float32(np.nan)
     return means

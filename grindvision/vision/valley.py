@@ -99,8 +99,9 @@ def find_valleys(
         radius_mm: radius of the closing's disc, more than half the groove's width; by default it doubles from eight
             spacings on.
     """
-    radii = [radius_mm] if radius_mm else _radii(points, T_field_cloud, spacing_mm)
-    finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS))
+    low, high = field_bounds(points, T_field_cloud)
+    radii = [radius_mm] if radius_mm else _radii(float((high - low)[:2].min()), spacing_mm)
+    finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS), (low, high))
     filled = side_by_side(lambda radius: _fill(finest, radius), radii)
     fillings = [filling for filling in filled if filling.volume_mm3 > 0]
     first, most = 0, 0.0
@@ -131,11 +132,10 @@ def _fill(finest: HeightField, radius_mm: float) -> _Filling:
     return _Filling(field, surface, depth, _pieces(depth, field))
 
 
-def _radii(points: Floats, T_field_cloud: Floats, spacing_mm: float) -> list[float]:
-    low, high = field_bounds(points, T_field_cloud)
-    spans = (high - low)[:2]
-    radii = [max(8 * spacing_mm, LEAST_RADIUS_SHARE * float(spans.min()))]
-    while 2 * radii[-1] < spans.min() / 3:
+def _radii(span_mm: float, spacing_mm: float) -> list[float]:
+    """Radii of the discs for a part whose smaller side is ``span_mm``."""
+    radii = [max(8 * spacing_mm, LEAST_RADIUS_SHARE * span_mm)]
+    while 2 * radii[-1] < span_mm / 3:
         radii.append(2 * radii[-1])
     return radii
 

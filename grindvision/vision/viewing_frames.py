@@ -84,11 +84,13 @@ def _main_directions(normals: Floats) -> list[Floats]:
     left, directions = normals[np.linalg.norm(normals, axis=1) > 0.5], []
     least = MODE_SHARE * len(left)
     while len(left) > max(least, 3):
-        up = left.mean(axis=0)
+        up, near = left.mean(axis=0), np.zeros(len(left), dtype=bool)
         for _ in range(20):
-            up = up / max(np.linalg.norm(up), 1e-12)
+            up, before = up / max(np.linalg.norm(up), 1e-12), near
             near = left @ up > np.cos(MODE_CONE_RAD)
             up = left[near].sum(axis=0) if near.any() else left[np.argmax(left @ up)]
+            if (near == before).all() and near.any():
+                break
         up = up / np.linalg.norm(up)
         near = left @ up > np.cos(MODE_CONE_RAD)
         if near.sum() > least:
