@@ -12,14 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.vision.gfh_groove import GfhSettings, find_groove_gfh
 from grindvision.vision.groove import find_grooves
+from grindvision.vision.groove_doubts import doubts_about
 from grindvision.vision.groove_lines import DetectedGroove
 from grindvision.vision.seam_path import SeamPath, root_path, slab_path
 
 Flags = NDArray[np.bool_]
 VARIANTS = ("ours", "paper")
-
-#: Below this share of stations with surface on both sides, the groove lies partly outside the cloud.
-BOTH_SIDES_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,8 @@ def trace_weld(
         NoGrooveError: there is no groove.
 
     Warns:
-        GrindvisionWarning: the groove lies partly outside the cloud; larger hollows in the scene are no grooves.
+        GrindvisionWarning: a groove is doubtful (partly outside the cloud, walls unseen, few points); larger hollows in
+            the scene are no grooves.
     """
     if variant not in VARIANTS:
         raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
@@ -99,13 +98,8 @@ def trace_weld(
                 stacklevel=2,
             )
         for number, groove in enumerate(grooves, start=1):
-            if groove.edges_seen < BOTH_SIDES_SHARE:
-                warnings.warn(
-                    f"groove {number} lies partly outside the cloud: only {groove.edges_seen:.0%} of its length shows"
-                    " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view",
-                    GrindvisionWarning,
-                    stacklevel=2,
-                )
+            for doubt in doubts_about(groove, points, spacing):
+                warnings.warn(f"groove {number} {doubt}", GrindvisionWarning, stacklevel=2)
     end = time.perf_counter()
     return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing, left_out)
 
