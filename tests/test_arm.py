@@ -145,7 +145,7 @@ def test_a_robot_table_survives_its_file(bent, tmp_path):
 HEAD = "joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\n"
 DAMAGED = {
     "degrees": (HEAD + "J1,0,0,321.5,0,0\nJ2,90,50,0,90,0\n", UnitError, "90 in the MDH table looks like degrees"),
-    "column": ("joint,alpha_rad,a_mm,d_mm,theta_rad\nJ1,0,0,1,0\n", FileError, "column beta_rad missing"),
+    "column": ("joint,alpha_rad,a_mm,theta_rad,beta_rad\nJ1,0,0,0,0\n", FileError, "column d_mm missing"),
     "text": (HEAD + "J1,0,0,abc,0,0\n", FileError, "row 1, column d_mm: 'abc'"),
     "hole": (HEAD + "J1,0,0,1,0,0\nJ2,0,,1,0,0\n", FileError, "row 2, column a_mm"),
     "no rows": (HEAD, FileError, "no rows"),

@@ -317,3 +317,71 @@ def test_rows_drawn_to_train_keep_poses_together(rng):
     assert replace(measurements, pose=None).drawn(31, rng).train.sum() == 31
     with pytest.raises(InputError, match="choose 1 to 59"):
         measurements.drawn(60, rng)
+
+
+def test_a_mirrored_tracker_is_not_taken_for_a_joint_that_counts_the_other_way(rng):
+    made = rig(ur5(), rng, rows=60, on_tool=True)
+    q = np.hstack([made.measurements.q_rad[:, :3], 0.1 * made.measurements.q_rad[:, 3:]])  # the wrist hardly turns
+    tracker = made.cell.points_tracker(q, made.measurements.scanner_mm)
+    mirrored = replace(made.measurements, q_rad=q, tracker_mm=tracker * [1, -1, 1])
+    with pytest.raises(InputError, match="bx_mm to bz_mm are mirrored"):
+        calibrate(mirrored, ur5())
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2), (3, 4)])
+def test_two_columns_of_joints_swapped(pair, rng):
+    made = rig(ur5(), rng, rows=60, on_tool=True)
+    order = np.arange(6)
+    order[list(pair)] = pair[::-1]
+    with pytest.raises(InputError, match=f"columns q{pair[0] + 1} and q{pair[1] + 1} are swapped"):
+        calibrate(replace(made.measurements, q_rad=made.measurements.q_rad[:, order]), ur5())
+
+
+def test_a_standard_table_that_no_fit_mends(rng):
+    standard = ur5().table.copy()
+    standard[:, :2] = np.roll(standard[:, :2], -1, axis=0)
+    with pytest.raises(InputError, match="a standard DH table: move alpha and a one row down"):
+        calibrate(rig(ur5(), rng, on_tool=True).measurements, ur5().with_table(standard), Options(free=("d1_mm",)))
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_a_tracked_tool_has_no_scans_that_could_be_shifted(seed):
+    """Its scanner's columns are constant: shifting them changes nothing, and so explains nothing."""
+    rng = np.random.default_rng(seed)
+    made = rig(ur5(), rng, rows=60, on_tool=True)
+    tracker = made.measurements.tracker_mm.copy()
+    tracker[:6] += 0.27 * np.sign(rng.normal(size=(6, 3)))
+    result = calibrate(replace(made.measurements, tracker_mm=tracker), ur5())
+    assert set(result.dropped) <= set(range(6))
+
+
+def test_many_dropped_rows_are_named_in_one_sentence(rng):
+    made = rig(er3a(), rng, rows=80)
+    tracker = made.measurements.tracker_mm.copy()
+    tracker[:12] += rng.normal(0, 20, (12, 3))
+    result = calibrate(replace(made.measurements, tracker_mm=tracker), er3a())
+    assert len(result.dropped) == 12
+    (said,) = (sentence for sentence in result.warnings if "left out" in sentence)
+    assert said.startswith("12 rows were left out, they contradict the others: row 1 ")
+
+
+def test_few_rows_are_cross_validated_one_by_one(rng):
+    made = rig(ur5(), rng, rows=13, on_tool=True)
+    result = calibrate(made.measurements, ur5())
+    assert cross_validated(result, Options()).how.startswith("13-fold")
+
+
+def test_a_robot_table_without_tilts_and_names(folder):
+    table = pd.read_csv(folder / "r.csv")
+    assert (table["beta_rad"] == 0).all()
+    table.drop(columns=["beta_rad", "joint"]).to_csv(folder / "r.csv", index=False)
+    assert command(folder) == 0
+    assert read_arm(folder / "r.csv").joints == ("J1", "J2", "J3", "J4")
+
+
+def test_a_first_line_of_numbers_is_told_from_names(folder, capsys):
+    pd.read_csv(folder / "m.csv").drop(columns=["pose", "sphere", "split"]).to_csv(
+        folder / "m.csv", index=False, header=False
+    )
+    assert command(folder) == 2
+    assert "the first line holds numbers, it must name the columns" in capsys.readouterr().err

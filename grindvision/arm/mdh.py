@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError, UnitError
-from grindvision.files import read_table, write_text
+from grindvision.files import column_names, read_table, write_text
 
 Floats = NDArray[np.float64]
 
@@ -77,15 +77,20 @@ class MdhArm:
 def read_arm(path: str | Path) -> MdhArm:
     """Read a robot CSV: ``joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad``, one row per joint from the base.
 
-    Angles may be given in degrees (``alpha_deg``) and lengths in metres (``a_m``).
+    Angles may be given in degrees (``alpha_deg``) and lengths in metres (``a_m``). Left out, ``beta`` is zero and the
+    joints are J1, J2, ...
 
     Raises:
         FileError: missing, damaged, a column missing, text where a number belongs. UnitError: degrees among radians,
             or metres among millimetres.
     """
-    table = read_table(path, PARAMETERS, texts=("joint",))
+    names = column_names(path)
+    tilted = bool({"beta_rad", "beta_deg"} & set(names))
+    table = read_table(path, PARAMETERS if tilted else PARAMETERS[:4], texts=("joint",) if "joint" in names else ())
+    numbers = table.reindex(columns=list(PARAMETERS), fill_value=0.0).to_numpy(dtype=float)
+    joints = table["joint"] if "joint" in names else [f"J{row}" for row in range(1, len(table) + 1)]
     try:
-        arm = MdhArm(table[list(PARAMETERS)].to_numpy(dtype=float), tuple(str(name) for name in table["joint"]))
+        arm = MdhArm(numbers, tuple(str(name) for name in joints))
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from None
     reach = float(np.abs(arm.table[:, 1:3]).sum())

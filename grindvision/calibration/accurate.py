@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,9 @@ from grindvision.geometry import inverse
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+#: So many rows that contradict the others get a sentence each; more are told in one.
+MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -157,10 +161,12 @@ def calibrate(
     if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
-    warnings += [f"left out, it contradicts the others: {measurements.label(row)}" for row in dropped]
+    warnings += _named(
+        dropped, measurements, "left out, it contradicts", "rows were left out, they contradict", "the others"
+    )
     if not measurements.train.all():
         odd = np.flatnonzero(~measurements.train & ~_consistent(fit, unknowns, training, measurements))
-        warnings += [f"a test row contradicts the calibration: {measurements.label(row)}" for row in odd]
+        warnings += _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
     used = training.rows(fit.kept)
     rows = whitened_design(fit.cell, unknowns, used, fit.spreads)
     return Calibration(
@@ -246,6 +252,16 @@ def _linear_step(coarse: ScannerOnArm, unknowns: Unknowns, training: Measurement
     freedom = max(len(left) - np.linalg.matrix_rank(design, tol=tolerance * np.linalg.norm(design, 2)), 1)
     spreads = Spreads(max(float(np.sqrt(left @ left / freedom)), SMALLEST_MM), 0.0, np.inf, np.inf)
     return _Fit(cell, spreads, np.ones(len(training), dtype=bool), 1, True)
+
+
+def _named(
+    rows: Sequence[int] | NDArray[np.int64], measurements: Measurements, one: str, many: str, what: str
+) -> list[str]:
+    """Rows that contradict the others: a sentence each, or one for all of them where they are many."""
+    if len(rows) <= MOST_NAMED:
+        return [f"{one} {what}: {measurements.label(row)}" for row in rows]
+    first = ", ".join(measurements.label(row) for row in rows[:MOST_NAMED])
+    return [f"{len(rows)} {many} {what}: {first} and others"]
 
 
 def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,8 +93,8 @@ def check_fit(
         base_fixed: whether the tracker's frame was taken as the base.
 
     Raises:
-        UnitError, InputError: degrees, metres, a joint that counts the other way, or a shifted pairing explains the
-            data far better; or nothing does.
+        UnitError, InputError: degrees, metres, a joint that counts the other way, two joints swapped, a shifted
+            pairing, a mirrored frame or a standard DH table explains the data far better; or nothing does.
         DegenerateError: a third of the rows or more contradict the rest.
     """
     training = measurements.rows(fitted)
@@ -101,23 +102,18 @@ def check_fit(
     if typical <= SUSPICIOUS_MM and kept.mean() > 0.95:
         return []
     if typical <= SUSPICIOUS_MM:
-        for reason, changed in _shifts():
-            errors = np.linalg.norm(residuals_of(cell, changed(measurements).rows(fitted)), axis=1)
-            agree = float((errors < 6 * typical).mean())
-            if agree > max(0.95, kept.mean()):
-                raise InputError(f"{reason}: then {agree:.0%} of the rows agree instead of {kept.mean():.0%}; mend it")
-        if kept.mean() > 0.7:
-            return []
-    as_given = median_error(coarse, training)
-    for reason, kind, changed in _explanations(measurements):
-        try:
-            left = closed_form_error(changed(measurements).rows(fitted), coarse.arm, base_fixed)
-        except GrindvisionError:
-            continue
-        if left < 0.2 * as_given:
-            raise kind(
-                f"{reason}: then the nominal arm leaves {left:.2f} mm instead of {as_given:.1f} mm; mend the columns"
-            )
+
+        def agreeing(rows: Measurements) -> float:
+            return float((np.linalg.norm(residuals_of(cell, rows), axis=1) < 6 * typical).mean())
+
+        agree = agreeing(training)
+        for reason, changed in _shifts(measurements):
+            then = agreeing(changed(measurements).rows(fitted))
+            if then > max(0.95, agree, kept.mean()):
+                raise InputError(f"{reason}: then {then:.0%} of the rows agree instead of {agree:.0%}; mend it")
+    _explain(measurements, fitted, coarse, base_fixed)
+    if typical <= SUSPICIOUS_MM and kept.mean() > 0.7:
+        return []
     if kept.mean() <= 0.7:
         raise DegenerateError(
             f"{int((~kept).sum())} of {len(kept)} training rows contradict the rest;"
@@ -130,6 +126,38 @@ def check_fit(
             " (modified, not standard DH), the joints' directions and zeros, and which joint carries the scanner"
         )
     return [f"the fit leaves {typical:.2f} mm in the median, much for a sphere scan: check table, units and pairing"]
+
+
+def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: ScannerOnArm, base_fixed: bool) -> None:
+    """Refuse with the one mistake that explains the data best, if one explains them far better than none.
+
+    Raises:
+        InputError, UnitError: see ``check_fit``.
+    """
+    as_given = median_error(coarse, measurements.rows(fitted))
+
+    def left(changed: Change, arm: MdhArm = coarse.arm) -> float:
+        try:
+            return closed_form_error(changed(measurements).rows(fitted), arm, base_fixed)
+        except GrindvisionError:
+            return np.inf
+
+    found = [(left(changed), reason, kind, "columns") for reason, kind, changed in _explanations(measurements)]
+    standard = left(lambda m: m, _from_standard(coarse.arm))
+    reason = "the robot table is a standard DH table: move alpha and a one row down, with 0 in the first row"
+    least, reason, kind, what = min([*found, (standard, reason, InputError, "table")], key=lambda one: one[0])
+    if least < 0.2 * as_given:
+        raise kind(
+            f"{reason}: then the nominal arm leaves {least:.2f} mm instead of {as_given:.1f} mm; mend the {what}"
+        )
+
+
+def _from_standard(arm: MdhArm) -> MdhArm:
+    """The arm, but for its tool, whose standard DH table (alpha and a behind the joint) was given as a modified one."""
+    table = arm.table.copy()
+    table[:, :2] = np.roll(table[:, :2], 1, axis=0)
+    table[0, :2] = 0.0
+    return arm.with_table(table)
 
 
 def far_from_nominal(arm: MdhArm, nominal: MdhArm) -> list[str]:
@@ -170,22 +198,34 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
             )
 
 
-def _shifts() -> list[tuple[str, Change]]:
+def _shifts(measurements: Measurements) -> list[tuple[str, Change]]:
+    columns = [("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans")]
     return [
         (
             f"the rows of {what} are shifted by {shift} against the other columns",
             lambda m, column=column, shift=shift: replace(m, **{column: np.roll(getattr(m, column), -shift, axis=0)}),
         )
-        for column, what in (("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans"))
+        for column, what in columns[: 2 if measurements.on_tool else 3]
         for shift in (1, -1)
     ]
 
 
 def _explanations(measurements: Measurements) -> list[tuple[str, type[GrindvisionError], Change]]:
     found: list[tuple[str, type[GrindvisionError], Change]] = [
-        (reason, InputError, changed) for reason, changed in _shifts()
+        (reason, InputError, changed) for reason, changed in _shifts(measurements)
     ]
-    for joint in range(measurements.q_rad.shape[1]):
+    joints = measurements.q_rad.shape[1]
+    for one, other in combinations(range(joints), 2):
+        order = np.arange(joints)
+        order[[one, other]] = other, one
+        found.append(
+            (
+                f"columns q{one + 1} and q{other + 1} are swapped",
+                InputError,
+                lambda m, order=order: replace(m, q_rad=m.q_rad[:, order]),
+            )
+        )
+    for joint in range(joints):
         for factor, reason, kind in (
             (np.pi / 180, "looks like degrees", UnitError),
             (-1.0, "counts the other way round than the robot table", InputError),
@@ -199,7 +239,7 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
                     ),
                 )
             )
-    for column, name in (("scanner_mm", "s"), ("tracker_mm", "b")):
+    for column, name in (("tracker_mm", "b"), ("scanner_mm", "s"))[: 1 if measurements.on_tool else 2]:
         found.append(
             (
                 f"columns {name}x_mm to {name}z_mm are mirrored (two swapped, or one with the wrong sign)",

@@ -50,7 +50,7 @@ def cross_validated(calibration: Calibration, options: Options, folds: int = 5, 
     """Errors of fits that left out one fold after the other, for a calibration whose measurements have no test rows.
 
     Whole spheres stay out together, or whole poses where there are fewer spheres than ``folds``. Rows that the
-    calibration dropped stay out of it.
+    calibration dropped stay out of it. Where the rows are so few that a fold could not be spared, each group is one.
 
     Raises:
         DegenerateError: one sphere and one pose only.
@@ -61,7 +61,8 @@ def cross_validated(calibration: Calibration, options: Options, folds: int = 5, 
     if len(np.unique(labels)) < folds:
         labels, kind = measurements.pose[rows], "poses"
     groups = np.unique(labels)
-    folds = min(folds, len(groups))
+    spared = len(rows) - len(calibration.unknowns) // 3 - 1
+    folds = min(folds, len(groups)) if spared >= len(rows) / folds else len(groups)
     if folds < 2:
         raise DegenerateError("all rows carry one sphere and one pose label; label them, so that some can be held out")
     part = dict(zip(np.random.default_rng(seed).permutation(groups), np.arange(len(groups)) % folds, strict=True))

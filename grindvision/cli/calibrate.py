@@ -25,7 +25,8 @@ MEASUREMENTS.csv, one row per point measured at one pose of the arm; further col
   pose, sphere              optional labels: rows of one pose, or of one sphere, are held out together
   split                     optional, train or test; without it and without --train the rows are cross-validated
 ROBOT.csv: joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad, one row per joint up to the scanner's (modified DH, Craig:
-  Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)); alpha_deg or a_m are converted by their names.
+  Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)); alpha_deg or a_m are converted by their names; joint and beta may be
+  left out. From a standard (distal) DH table: move alpha and a one row down, with 0 in the first row.
 ROBOT.urdf: the first N joints of the chain, N as in MEASUREMENTS.csv.
 
 results in DIR:
