@@ -29,6 +29,10 @@ class DegenerateError(GrindvisionError):
     """The data do not determine the answer: too few points, collinear points, a free motion."""
 
 
+class AmbiguousError(DegenerateError):
+    """Several answers fit the data alike; the message names the motion between them."""
+
+
 class UnreachableError(GrindvisionError):
     """No joint angles reach the pose asked for."""
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from grinding_scene import arc_bead, pair, plate_height, scan, view
 
-from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, UnitError
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.vision.detection import DetectOptions, detect
 
 
@@ -36,6 +36,24 @@ def test_another_part_is_not_called_mirrored(case, seed):
     plane = np.column_stack([rng.uniform(-60, 60, size=(20_000, 2)), rng.normal(scale=0.02, size=20_000) + 400])
     with pytest.raises(DegenerateError):
         detect(case.sample, plane)
+
+
+def wheel(seed, folds=3):
+    """A flat wheel with round bosses, seen from 400 mm: turned by a whole share of a turn it looks the same."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-60, 60, size=(24_000, 2))
+    points = points[np.hypot(*points.T) < 60][:12_000]
+    height = np.zeros(len(points))
+    for angle in 2 * np.pi * np.arange(folds) / folds:
+        away = np.hypot(*(points - 40 * np.array([np.cos(angle), np.sin(angle)])).T)
+        height += 8 / (1 + np.exp((away - 8) / 0.5))
+    return np.column_stack([points, 400 - height + rng.normal(0, 0.05, len(points))])
+
+
+@pytest.mark.parametrize("seed", [1, 4, 12, 13, 18, 21, 28])
+def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
+    with pytest.raises(AmbiguousError, match="ambiguous: a turn"):
+        detect(wheel(seed), wheel(seed + 100))
 
 
 def test_swapped_scans_are_said_and_a_good_part_is_not(case):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
@@ -118,6 +118,8 @@ def detect(
 
     try:
         good, seen, coarse = register(test, options.viewpoint_test_mm)
+    except AmbiguousError:  # the scans fit as they are: what leaves a motion free mostly fits its mirror image too
+        raise
     except DegenerateError as refusal:
         raise mirrored_refusal(test, options.viewpoint_test_mm, register, refusal) from None
     clock.lap("verification")

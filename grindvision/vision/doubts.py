@@ -68,7 +68,7 @@ def mirrored_refusal(
         return refusal
     return InputError(
         "the test scan fits the sample only as its mirror image: one of the two was exported left-handed (two axes"
-        " swapped, or one with the wrong sign); export it again"
+        " swapped, or one with the wrong sign); export it again; or do they show a symmetric part from its two sides?"
     )
 
 

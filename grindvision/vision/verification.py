@@ -2,21 +2,21 @@
 
 Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it
 agrees with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on
-purpose: the other proposals, the turns of a box about the scan's own axes, and slides along the motions the surface
-resists least. A rival that fits as well as the best means that the scans do not determine the pose: refused.
+purpose: the other proposals, the turns of a box and of wheels about the scan's own axes, and slides along the motions
+the surface resists least. A rival that fits as well as the best means that the scans do not determine the pose: refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.errors import DegenerateError
-from grindvision.geometry import angle_between, move_points, rigid, small_motion
+from grindvision.errors import AmbiguousError, DegenerateError
+from grindvision.geometry import angle_between, move_points, rigid, rotation_about, small_motion
 from grindvision.vision.agreement import Agreement, agreeing_share, agreement
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.motion_names import motion_name, motion_names
@@ -58,6 +58,12 @@ BOX_TURNS = tuple(
 )
 """The 23 rotations (3, 3) that bring a box back to its axes, but for none at all."""
 
+WHEEL_TURNS = tuple(
+    rotation_about(axis, sign * 2 * np.pi / folds) for axis in np.eye(3) for folds in (3, 5, 7) for sign in (1, -1)
+)
+"""Rotations (3, 3) about the axes that bring wheels with 3, 5, 7 or so many times more spokes back to themselves; those
+of 2 and 4 are among the box's."""
+
 
 @dataclass(frozen=True)
 class VerifiedPose:
@@ -84,8 +90,8 @@ def choose_pose(
         sample: surfels of the source used.
 
     Raises:
-        DegenerateError: no pose brings the scans together; the surfaces contradict each other; or a rival fits as well
-            (the message names the motion that is free).
+        DegenerateError: no pose brings the scans together; the surfaces contradict each other. AmbiguousError: a rival
+            fits as well (the message names the motion that is free).
     """
     chosen = rng.permutation(len(source.surfels))[:sample]
     judge = _Judge(
@@ -110,7 +116,7 @@ def choose_pose(
             " are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
-    candidates += judge.turned(best, verdict)
+    candidates += judge.turned(best, verdict, BOX_TURNS, 0.6) + judge.turned(best, verdict, WHEEL_TURNS, 0.9)
     first, (best, verdict) = best, max(candidates, key=lambda candidate: candidate[1].score)
     if best is not first:
         judge.refuse_free_motions(best, verdict)
@@ -123,7 +129,7 @@ def choose_pose(
     other = next((other for other, v in candidates if v is rival), best)
     if margin < LEAST_MARGIN * covered and judge.fits_as_well(other, best):
         motion = motion_name(other.T_target_source, best.T_target_source, judge.centre, judge.extent)
-        raise DegenerateError(
+        raise AmbiguousError(
             f"the registration is ambiguous: {motion} fits as well ({rival.score:.2f} against {verdict.score:.2f}); a"
             " symmetric part needs a mark or a scan that shows what breaks the symmetry"
         )
@@ -200,8 +206,10 @@ class _Judge:
         costs = [np.minimum((one[both] / cut) ** 2, 1).mean() for one in (best_residual, residual)]
         return bool(costs[1] < MOST_WORSE * costs[0])
 
-    def turned(self, best: FineRegistration, verdict: Agreement) -> list[tuple[FineRegistration, Agreement]]:
-        """The best few of the 23 turns of a box about the source's principal axes, refined."""
+    def turned(
+        self, best: FineRegistration, verdict: Agreement, turns: Sequence[Floats], least: float
+    ) -> list[tuple[FineRegistration, Agreement]]:
+        """The best few ``turns`` about the source's principal axes, refined; ``least`` is a share of what agrees now."""
         _, axes = np.linalg.eigh(np.cov(self.points.T))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         poses = np.stack(
@@ -210,7 +218,7 @@ class _Judge:
                 @ rigid(None, self.centre)
                 @ rigid(axes @ turn @ axes.T)
                 @ rigid(None, -self.centre)
-                for turn in BOX_TURNS
+                for turn in turns
             ]
         )
         rough = np.array(
@@ -222,7 +230,7 @@ class _Judge:
         order = np.argsort(-rough, kind="stable")
         order = order[rough[order] > 0.4 * rough.max(initial=0)]
         poses, _ = distinct_poses(poses[order], rough[order], self.centre, np.inf, np.radians(20), 4)
-        return self.refined_all(poses, 0.6 * verdict.agreeing)
+        return self.refined_all(poses, least * verdict.agreeing)
 
     def refuse_free_motions(self, best: FineRegistration, verdict: Agreement) -> None:
         """Slide along the three motions the surface resists least; refuse when the scans fit there as well."""
@@ -242,7 +250,7 @@ class _Judge:
         ]
         if any(free):
             names = motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)
-            raise DegenerateError(
+            raise AmbiguousError(
                 f"the registration is ambiguous, free motion: {'; '.join(names)};"
                 " the part shows nothing that fixes it there, scan more of the part or a part with features"
             )
