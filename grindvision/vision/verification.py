@@ -3,7 +3,7 @@
 Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it
 agrees with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on
 purpose: the other proposals, the turns of a box and of wheels about the scan's own axes, and slides along the motions
-the surface resists least. A rival that fits as well as the best means that the scans do not determine the pose: refused.
+the surface resists least. A rival that fits as well as the best means that the scans leave the pose open: refused.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class _Judge:
     def turned(
         self, best: FineRegistration, verdict: Agreement, turns: Sequence[Floats], least: float
     ) -> list[tuple[FineRegistration, Agreement]]:
-        """The best few ``turns`` about the source's principal axes, refined; ``least`` is a share of what agrees now."""
+        """The best few ``turns`` about the source's principal axes, refined; ``least`` is a share of what agrees."""
         _, axes = np.linalg.eigh(np.cov(self.points.T))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         poses = np.stack(
