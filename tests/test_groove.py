@@ -343,3 +343,26 @@ def test_coordinates_along_a_circle(rng):
     np.testing.assert_allclose(strip.along, 40 * angle[strip.index], atol=0.1)
     np.testing.assert_allclose(strip.across, 40 - radius[strip.index], atol=0.02)
     np.testing.assert_allclose(strip.up, height[strip.index], atol=1e-9)
+
+
+@pytest.mark.parametrize("at", [-12.0, 0.0, 22.0])
+@pytest.mark.parametrize("long_mm", [10.0, 16.0])
+def test_a_tack_weld_does_not_end_the_groove(at, long_mm, rng):
+    """A quarter of the depth is left above the tack; the seam goes on behind it, and so does the path."""
+    places = grid()
+    tack = np.abs(places[:, 0] - at) < long_mm / 2
+    heights = np.where(tack, np.maximum(vee(places[:, 1]), -1.6), vee(places[:, 1]))
+    found = find_grooves(cloud(places, heights, rng))
+    assert len(found.grooves) == 1
+    assert np.ptp(found.grooves[0].root[:, 0]) > 0.97 * 120
+    groove = (np.abs(places[:, 1]) < 4) & ~tack
+    assert found.labels[groove].mean() > 0.98
+
+
+def test_two_grooves_in_line_stay_two(rng):
+    """Where the plate comes up between them there is no seam to follow."""
+    places = grid()
+    heights = np.where(np.abs(places[:, 0]) < 8, 0.0, vee(places[:, 1]))
+    found = find_grooves(cloud(places, heights, rng))
+    assert len(found.grooves) == 2
+    assert found.labels[np.abs(places[:, 0]) < 5].mean() < 0.01

@@ -44,6 +44,8 @@ LEAST_BOTH_SIDES, ONE_SIDED_WALL_SLOPE = 0.3, 0.5
 LEAST_LENGTH = 2.0
 #: A station belongs to the groove while its depth is above this share of the median depth.
 LEAST_DEPTH_SHARE = 0.5
+#: Between two parts of a groove its edges may go on above a tack weld, where this share of the depth is left.
+TACKED_DEPTH_SHARE = 0.2
 #: A section's misfit is at most so many times the usual one; below the first share of the depth it is always good
 #: enough, above the second never.
 WORST_FIT_RATIO, LEAST_FIT_SHARE, WORST_FIT_SHARE = 3.0, 0.03, 0.12
@@ -170,7 +172,7 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
 def _stations_inside(
     fit: ProfileFit, sections: Sections, width: float, depth: float, looseness: float, free: Flags
 ) -> tuple[int, int] | None:
-    """Longest run of stations (first, behind last) that show the groove; short gaps are bridged.
+    """Longest run of stations (first, behind last) that show the groove; short gaps and tack welds are bridged.
 
     Stations that are not ``free`` (S,) end it. ``looseness`` widens the limits while the curve is not yet well placed.
     """
@@ -179,7 +181,7 @@ def _stations_inside(
     between = (sections.across > theta[:, LEFT, None]) & (sections.across < theta[:, RIGHT, None])
     points = np.where(between, sections.weight, 0).sum(axis=1)
     seen = points > 0.25 * np.median(points[points > 0]) if (points > 0).any() else points > 0
-    deep = theta[:, DEPTH] > LEAST_DEPTH_SHARE * depth
+    deep, tacked = (theta[:, DEPTH] > share * depth for share in (LEAST_DEPTH_SHARE, TACKED_DEPTH_SHARE))
     usual = float(np.median(fit.noise_mm[seen & deep])) if (seen & deep).any() else 0.0
     worst = np.clip(WORST_FIT_RATIO * usual, LEAST_FIT_SHARE * depth, WORST_FIT_SHARE * depth)
     fitting = fit.noise_mm < worst
@@ -191,13 +193,16 @@ def _stations_inside(
     shapely = (np.abs(place - 0.5) < WORST_SKEW) & (
         np.abs(np.log(widths / width)) < looseness * np.log(WORST_WIDTH_RATIO)
     )
-    shown = seen & deep & fitting & sure & near & shapely & free
+    edged = seen & sure & near & shapely & free
+    shown = edged & deep & fitting
     if not shown.any():
         return None
     bridged = binary_closing(np.pad(shown, 9), np.ones(9))[9:-9] & free
-    names, count = label(bridged)
-    run = np.flatnonzero(names == 1 + np.argmax([(names == name).sum() for name in range(1, count + 1)]))
-    if shown[run].mean() < 0.6 or len(run) < 4:
+    tacked &= edged
+    names, _ = label(bridged | tacked)
+    run = np.flatnonzero((names == np.argmax(np.bincount(names[bridged]))) & bridged)
+    run = np.arange(run[0], run[-1] + 1)
+    if (shown | tacked)[run].mean() < 0.6 or shown[run].mean() < 0.4 or len(run) < 4:
         return None
     return int(run[0]), int(run[-1]) + 1
 
