@@ -74,6 +74,26 @@ def test_another_scale_is_said_and_measured(case, factor):
     assert 1 + float(share) / 100 * (1 if word == "larger" else -1) == pytest.approx(factor, abs=1.5e-3)
 
 
+def corner(seed):
+    """Three faces of a box 140 x 90 x 60 mm about the corner nearest to the scanner."""
+    rng = np.random.default_rng(seed)
+    size = np.array([140.0, 90.0, 60.0])
+    faces = [rng.uniform(0, size, size=(int(size.prod() / size[k] / 0.6), 3)) * (np.arange(3) != k) for k in range(3)]
+    points = np.vstack(faces) + rng.normal(0, 0.06, size=(sum(map(len, faces)), 3))
+    away = np.array([-2.0, -2.5, -3.0])
+    z = -away / np.linalg.norm(away)
+    x = np.cross([0.0, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], z))
+    return points @ np.column_stack([x, np.cross(z, x), z]) + [0, 0, 400]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_three_faces_of_a_box_tell_nothing_of_the_scale(seed):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        detect(corner(seed), corner(seed + 50))
+    assert not [one for one in said if "than the sample" in str(one.message)]
+
+
 def test_scans_that_hardly_overlap_are_said():
     rng = np.random.default_rng(1)
     left = scan(plate_height, view(0.15, (1.0, 0.3, 0.0)), 15_000, rng, window=(-100, -20, -70, 70))

@@ -26,6 +26,10 @@ LEAST_OVERLAP = 0.35
 #: Two sound scanners agree on a length to about a thousandth; this is four times as much.
 MOST_SCALE = 0.004
 
+#: Share of what a change of scale does to the heights that no motion could do as well; below, as on three faces of a
+#: box, which look the same at any scale, nothing can be said of it.
+LEAST_SCALE_SHARE = 0.02
+
 #: Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow.
 SURE = 0.5
 
@@ -95,7 +99,7 @@ def relative_scale(
     sample: Scan, test: Scan, registration: FineRegistration, surfels: int = 2000, steps: int = 12
 ) -> tuple[float, float]:
     """How many times larger the test scan is than the sample, and the standard deviation of that for errors
-    that are alike over a quarter of the scan, as those of a scanner are.
+    that are alike over a quarter of the scan, as those of a scanner are; infinite where the surface does not tell.
 
     Point-to-plane steps for shift, turn and scale from the registered pose, with Tukey's weights: beads do not count.
     """
@@ -119,6 +123,10 @@ def relative_scale(
             rest = left - design @ change
             spread = 1.4826 * float(np.median(np.abs(rest))) + 1e-9
             weights = np.clip(1 - (rest / (4.685 * spread)) ** 2, 0, None) ** 2
+        motions, scaling = np.hsplit(design * np.sqrt(weights)[:, None], [6])
+        alone = scaling - motions @ np.linalg.lstsq(motions, scaling)[0]
+        if (alone**2).sum() < LEAST_SCALE_SHARE * (scaling**2).sum():
+            return 1.0, np.inf
         scale *= 1 + change[6]
         deviation = float(np.sqrt(block_covariance(places[shown], design, rest, weights, square, across=4)[6, 6]))
         turn = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
