@@ -8,6 +8,7 @@ import pytest
 from grinding_scene import arc_bead, pair, plate_height, scan, view
 
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
+from grindvision.vision import verification
 from grindvision.vision.detection import DetectOptions, detect
 
 
@@ -54,6 +55,16 @@ def wheel(seed, folds=3):
 def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
     with pytest.raises(AmbiguousError, match="ambiguous: a turn"):
         detect(wheel(seed), wheel(seed + 100))
+
+
+@pytest.mark.parametrize(("agreeing", "contradicting"), [(0.44, 0.29), (0.2, 0.1), (0.1, 0.05), (0.5, 0.45)])
+def test_a_refusal_names_a_bound_that_was_missed(case, agreeing, contradicting, monkeypatch):
+    found = verification.Agreement(agreeing, contradicting)
+    monkeypatch.setattr(verification, "agreement", lambda *_: found)
+    with pytest.raises(DegenerateError, match="do not fit") as refusal:
+        detect(case.sample, case.test)
+    overlap, share, least_overlap, least_share = map(int, re.findall(r"(\d+)%", str(refusal.value)))
+    assert overlap < least_overlap or share < least_share
 
 
 def test_swapped_scans_are_said_and_a_good_part_is_not(case):

@@ -48,7 +48,7 @@ MOST_WORSE = 1.25
 """A pose whose truncated squared residuals are less than so many times the best's fits as well."""
 
 LEAST_SCORE = 0.2
-"""Least difference between the agreeing and the contradicting share of the source."""
+"""Least agreeing share of the source less the contradicting one: of a small overlap more must agree."""
 
 BOX_TURNS = tuple(
     turn
@@ -105,14 +105,12 @@ def choose_pose(
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     best, verdict = max(candidates, key=lambda candidate: candidate[1].score)
     covered = min(1.0, len(target.surfels) / len(source.surfels))
-    if (
-        verdict.score < LEAST_SCORE * covered
-        or verdict.overlap < LEAST_OVERLAP * covered
-        or verdict.share < LEAST_AGREEMENT
-    ):
+    least_overlap = LEAST_OVERLAP * covered
+    least_share = max(LEAST_AGREEMENT, min(0.5 + LEAST_SCORE * covered / (2 * max(verdict.overlap, 1e-9)), 1.0))
+    if verdict.overlap < least_overlap or verdict.share < least_share:
         raise DegenerateError(
             f"the two scans do not fit: at the best pose {verdict.overlap:.0%} overlap and {verdict.share:.0%} of that"
-            f" agrees within {judge.within_mm:.2g} mm (at least {LEAST_OVERLAP:.0%} and {LEAST_AGREEMENT:.0%} needed);"
+            f" agrees within {judge.within_mm:.2g} mm (at least {least_overlap:.0%} and {least_share:.0%} needed);"
             " are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
