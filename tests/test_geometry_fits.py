@@ -5,6 +5,7 @@ import pytest
 
 from grindvision import geometry
 from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry.ransac import ransac_plane, ransac_sphere
 
 
 def cap(rng, count=150, opening_rad=1.0, radius_mm=19.0, noise_mm=0.0, centre=(30.0, -20.0, 400.0)):
@@ -126,15 +127,68 @@ def test_the_sphere_does_not_depend_on_order_place_or_unit(pose, rng):
 def test_ransac_finds_plane_and_sphere_among_outliers_and_repeats_with_its_seed(pose, rng):
     clutter = np.add(rng.uniform(-40, 40, (120, 3)), [30.0, -20.0, 400.0])
     ball = np.vstack([cap(rng, noise_mm=0.03), clutter])
-    found = geometry.ransac_sphere(ball, 0.15, np.random.default_rng(1), radius_mm=19.0)
+    found = ransac_sphere(ball, 0.15, np.random.default_rng(1), radius_mm=19.0)
     assert found.centre_mm == pytest.approx([30.0, -20.0, 400.0], abs=0.1)
     assert found.inliers[:150].mean() > 0.98
-    again = geometry.ransac_sphere(ball, 0.15, np.random.default_rng(1), radius_mm=19.0)
+    again = ransac_sphere(ball, 0.15, np.random.default_rng(1), radius_mm=19.0)
     assert again.centre_mm.tolist() == found.centre_mm.tolist()
     sheet = np.vstack([patch(rng, pose, noise_mm=0.02), geometry.move_points(pose, rng.uniform(-40, 40, (80, 3)))])
-    plane = geometry.ransac_plane(sheet, 0.1, np.random.default_rng(1))
+    plane = ransac_plane(sheet, 0.1, np.random.default_rng(1))
     assert np.abs(plane.normal @ pose[:3, 2]) > 1 - 1e-5
     assert plane.inliers[:100].mean() > 0.98
+
+
+def plain_consensus(points, size, distances, threshold_mm, rng, iterations=500):
+    """RANSAC as a textbook has it: ``distances(sample)`` gives those of all points, None where there is no shape."""
+    scored = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
+    best, shape = 0, None
+    for trial in range(1, iterations + 1):
+        found = distances(points[rng.choice(len(points), size, replace=False)])
+        if found is None:
+            continue
+        count = (found(scored) <= threshold_mm).sum()
+        if count > best:
+            best, shape = count, found
+        if best and (1 - (best / len(scored)) ** size) ** trial < 1e-6:
+            break
+    return shape(points) <= threshold_mm
+
+
+def plain_plane(sample):
+    normal = np.cross(sample[1] - sample[0], sample[2] - sample[0])
+    return lambda points: np.abs((points - sample[0]) @ normal) / np.linalg.norm(normal)
+
+
+def plain_sphere(radius_mm):
+    def through(sample):
+        squares = (sample[1:] ** 2).sum(axis=1) - (sample[0] ** 2).sum()
+        centre = np.linalg.solve(2 * (sample[1:] - sample[0]), squares)
+        radius = np.linalg.norm(sample[0] - centre)
+        if radius_mm is not None and abs(radius - radius_mm) > 0.2 * radius_mm:
+            return None
+        return lambda points: np.abs(np.linalg.norm(points - centre, axis=1) - (radius_mm or radius))
+
+    return through
+
+
+@pytest.mark.parametrize("count", [150, 6000])
+@pytest.mark.parametrize("radius_mm", [None, 19.0])
+def test_compiled_ransac_answers_as_the_plain_one_and_leaves_the_generator_where_it_does(count, radius_mm, pose, rng):
+    for seed in range(5):
+        clutter = rng.uniform(-40, 40, (count // 2, 3))
+        ball = np.vstack([cap(rng, count, noise_mm=0.05), clutter + [30.0, -20.0, 400.0]])
+        sheet = np.vstack([patch(rng, pose, count, noise_mm=0.05), geometry.move_points(pose, clutter)])
+        ours, plain = np.random.default_rng(seed), np.random.default_rng(seed)
+        inliers = plain_consensus(ball, 4, plain_sphere(radius_mm), 0.15, plain)
+        for _ in range(3):
+            fit = geometry.fit_sphere(ball[inliers], radius_mm)
+            inliers = np.abs(fit.distance(ball)) <= 0.15
+        sphere = ransac_sphere(ball, 0.15, ours, radius_mm)
+        assert (sphere.inliers == inliers).all() and ours.random() == plain.random()
+        inliers = plain_consensus(sheet, 3, plain_plane, 0.15, plain)
+        plane = ransac_plane(sheet, 0.15, ours)
+        assert (plane.inliers == (np.abs(geometry.fit_plane(sheet[inliers]).distance(sheet)) <= 0.15)).all()
+        assert ours.random() == plain.random()
 
 
 LINE = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
@@ -151,12 +205,12 @@ REFUSED = {
     "sphere, circle": (lambda: geometry.fit_sphere(CIRCLE), DegenerateError, "one plane"),
     "sphere, few": (lambda: geometry.fit_sphere(CIRCLE[:3]), DegenerateError, "at least 4"),
     "ransac, threshold": (
-        lambda: geometry.ransac_plane(CIRCLE, 0.0, np.random.default_rng(0)),
+        lambda: ransac_plane(CIRCLE, 0.0, np.random.default_rng(0)),
         InputError,
         "above zero",
     ),
     "ransac, nothing there": (
-        lambda: geometry.ransac_sphere(CIRCLE, 0.1, np.random.default_rng(0)),
+        lambda: ransac_sphere(CIRCLE, 0.1, np.random.default_rng(0)),
         DegenerateError,
         "no model found",
     ),

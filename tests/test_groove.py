@@ -7,7 +7,6 @@ from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from grindvision.book import waypoints
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import rotation_about
@@ -32,7 +31,7 @@ def test_the_ends_of_the_root_are_found_on_a_flank_too():
     for seed in (11, 77):
         scene = weld_scene("cylinder", np.random.default_rng([seed, 2, 3]), every=2)
         root = find_grooves(scene.points).grooves[0].root
-        shown = scene.root_mm + waypoints.camera_errors(scene)
+        shown = scene.root_mm + scene.root_errors_mm
         assert cKDTree(shown).query(root)[0].max() < 1.5
         assert cKDTree(root).query(scene.root_mm)[0].max() < 8.0
 

@@ -116,7 +116,8 @@ class RegisteredPair:
     def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
         """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
         size = self.sample.surfels.grid.size_mm
-        test = prepare_scan(test_points, Resolution(size / 3, size, self.sample.voxels.grid.size_mm), np.zeros(3))
+        sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
+        test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
         coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
         return replace(self, test=test, registration=refine(self.sample, test, coarse, np.random.default_rng(0)))
 

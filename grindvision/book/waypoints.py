@@ -16,9 +16,6 @@ from grindvision.vision.seam_path import SeamPath
 
 Floats = NDArray[np.float64]
 
-#: Points within this distance of a root point tell how far the camera as a whole is off there, mm.
-NEAR_MM = 8.0
-
 #: Where the plate stands that teaches a camera its field, mm: about the grooves, half the waviness' length apart.
 PLATES_MM = np.arange(420.0, 511.0, 15.0)
 
@@ -59,7 +56,7 @@ def waypoint_errors(path: SeamPath, scene: WeldScene, as_shown: bool = False) ->
     ``as_shown`` first moves each root point by the mean error of the measured points around it: what is left is the
     method's own, without the camera's waviness and scale, which no method can take out of a single cloud.
     """
-    root = scene.root_mm + camera_errors(scene) if as_shown else scene.root_mm
+    root = scene.root_mm + scene.root_errors_mm if as_shown else scene.root_mm
     _, nearest = cKDTree(root).query(path.points)
     error, tangents, normals = path.points - root[nearest], scene.tangents[nearest], scene.normals[nearest]
     along = np.einsum("ij,ij->i", error, tangents)
@@ -70,13 +67,6 @@ def waypoint_errors(path: SeamPath, scene: WeldScene, as_shown: bool = False) ->
         beyond_mm=np.where(at_end, along, 0.0),
         axis_deg=np.degrees(vector_angle(path.normals, normals)),
     )
-
-
-def camera_errors(scene: WeldScene) -> Floats:
-    """Mean error (K, 3) in mm of the points measured within ``NEAR_MM`` of each root point."""
-    measured, true = scene.scan.points, scene.scan.true_points
-    around = cKDTree(true).query_ball_point(scene.root_mm, NEAR_MM)
-    return np.stack([(measured[near] - true[near]).mean(axis=0) if near else np.zeros(3) for near in around])
 
 
 def plate_scans(

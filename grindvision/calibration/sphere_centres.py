@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import SphereFit, check_points, fit_sphere, ransac_sphere
+from grindvision.geometry import SphereFit, check_points, fit_sphere
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ def find_sphere(
     Raises:
         DegenerateError: no sphere in the cloud, or too little of it left beside the nest.
     """
+    from grindvision.geometry.ransac import ransac_sphere
+
     points = check_points(points_scanner, "scan of the sphere", least=4)
     rough = ransac_sphere(points, threshold_mm, rng, radius_mm)
     rays = points - rough.centre_mm

@@ -15,7 +15,8 @@ from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
-from grindvision.geometry import SphereFit, inverse, move_points, ransac_sphere, rigid, turn_vectors
+from grindvision.geometry import SphereFit, inverse, move_points, rigid, turn_vectors
+from grindvision.geometry.ransac import ransac_sphere
 
 Floats = NDArray[np.float64]
 

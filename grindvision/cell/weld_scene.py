@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from grindvision.cell.rays import Target
 from grindvision.cell.scan import Scan
@@ -22,6 +24,9 @@ TILT_DEG = {"line": 5.0, "curve": 5.0, "box": 20.0, "cylinder": 5.0}
 
 #: Root points seen at flatter angles than this do not count as visible.
 VISIBLE_DEG = 70.0
+
+#: Measured points so near a root point show it: about the groove's half width.
+NEAR_MM = 8.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,13 @@ class WeldScene:
     def points(self) -> Floats:
         """Measured points (N, 3), camera frame, mm."""
         return self.scan.points
+
+    @cached_property
+    def root_errors_mm(self) -> Floats:
+        """Mean error (K, 3) in mm of the points measured within ``NEAR_MM`` of each root point."""
+        errors = self.scan.points - self.scan.true_points
+        around = cKDTree(self.scan.true_points).query_ball_point(self.root_mm, NEAR_MM)
+        return np.stack([errors[near].mean(axis=0) if near else np.zeros(3) for near in around])
 
     def __str__(self) -> str:
         return f"{self.piece}: {len(self.labels):,} points, {int(self.labels.sum()):,} of them in the groove"

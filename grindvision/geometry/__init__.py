@@ -8,8 +8,6 @@ from grindvision.geometry.fits import (
     fit_plane,
     fit_rigid,
     fit_sphere,
-    ransac_plane,
-    ransac_sphere,
 )
 from grindvision.geometry.transforms import (
     angle_between,
@@ -45,8 +43,6 @@ __all__ = [
     "nearest_rotation",
     "orthonormalised",
     "random_rotation",
-    "ransac_plane",
-    "ransac_sphere",
     "rigid",
     "rotation_about",
     "rotation_axis",

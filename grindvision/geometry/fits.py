@@ -1,8 +1,7 @@
-"""Fits to point sets: rigid motion, plane and sphere, by least squares and by RANSAC."""
+"""Fits to point sets: rigid motion, plane and sphere, by least squares (by RANSAC: ``ransac``)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,27 +137,7 @@ def fit_plane(points: ArrayLike) -> PlaneFit:
         DegenerateError: fewer than three points, or points on one line.
     """
     points = check_points(points, "plane points", least=3)
-    return _plane_through(points, np.ones(len(points), dtype=bool))
-
-
-def ransac_plane(points: ArrayLike, threshold_mm: float, rng: np.random.Generator, iterations: int = 500) -> PlaneFit:
-    """Plane with the most points within ``threshold_mm``, refined by least squares on them.
-
-    Raises:
-        DegenerateError: no three points span a plane.
-    """
-    points = check_points(points, "plane points", least=3)
-
-    def model(sample: Floats) -> Callable[[Floats], Floats] | None:
-        normal = np.cross(sample[1] - sample[0], sample[2] - sample[0])
-        length = np.linalg.norm(normal)
-        if length < 1e-12:
-            return None
-        return lambda p: np.abs((p - sample[0]) @ (normal / length))
-
-    inliers = _consensus(points, 3, model, threshold_mm, rng, iterations)
-    fit = _plane_through(points, inliers)
-    return _plane_through(points, np.abs(fit.distance(points)) <= threshold_mm)
+    return plane_through(points, np.ones(len(points), dtype=bool))
 
 
 def fit_sphere(points: ArrayLike, radius_mm: float | None = None) -> SphereFit:
@@ -168,73 +147,11 @@ def fit_sphere(points: ArrayLike, radius_mm: float | None = None) -> SphereFit:
         DegenerateError: fewer than four points (three with the radius given), or points on one plane's circle.
     """
     points = check_points(points, "sphere points", least=4 if radius_mm is None else 3)
-    return _sphere_through(points, np.ones(len(points), dtype=bool), radius_mm)
+    return sphere_through(points, np.ones(len(points), dtype=bool), radius_mm)
 
 
-def ransac_sphere(
-    points: ArrayLike,
-    threshold_mm: float,
-    rng: np.random.Generator,
-    radius_mm: float | None = None,
-    iterations: int = 500,
-) -> SphereFit:
-    """Sphere with the most points within ``threshold_mm`` of its surface, refined by least squares on them.
-
-    With ``radius_mm`` given, only spheres within 20 % of it are tried, and the refined one has exactly that radius.
-
-    Raises:
-        DegenerateError: no four points span such a sphere.
-    """
-    points = check_points(points, "sphere points", least=4)
-
-    def model(sample: Floats) -> Callable[[Floats], Floats] | None:
-        edges = 2 * (sample[1:] - sample[0])
-        if abs(np.linalg.det(edges)) < 1e-9:
-            return None
-        centre = np.linalg.solve(edges, (sample[1:] ** 2).sum(axis=1) - (sample[0] ** 2).sum())
-        radius = np.linalg.norm(sample[0] - centre)
-        if radius_mm is not None and abs(radius - radius_mm) > 0.2 * radius_mm:
-            return None
-        return lambda p: np.abs(np.linalg.norm(p - centre, axis=1) - (radius if radius_mm is None else radius_mm))
-
-    inliers = _consensus(points, 4, model, threshold_mm, rng, iterations)
-    for _ in range(3):
-        fit = _sphere_through(points, inliers, radius_mm)
-        inliers = np.abs(fit.distance(points)) <= threshold_mm
-    return _sphere_through(points, inliers, radius_mm)
-
-
-def _consensus(
-    points: Floats,
-    sample_size: int,
-    model: Callable[[Floats], Callable[[Floats], Floats] | None],
-    threshold_mm: float,
-    rng: np.random.Generator,
-    iterations: int,
-) -> Flags:
-    if not threshold_mm > 0:
-        raise InputError(f"the RANSAC threshold is {threshold_mm} mm; it must be above zero")
-    scored = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
-    best, best_distance = 0, None
-    for trial in range(1, iterations + 1):
-        distance = model(points[rng.choice(len(points), sample_size, replace=False)])
-        if distance is None:
-            continue
-        count = int((distance(scored) <= threshold_mm).sum())
-        if count > best:
-            best, best_distance = count, distance
-        if best and (1 - (best / len(scored)) ** sample_size) ** trial < 1e-6:
-            break
-    inliers = None if best_distance is None else best_distance(points) <= threshold_mm
-    if inliers is None or inliers.sum() < sample_size:
-        raise DegenerateError(
-            f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold, and that the shape"
-            " is there"
-        )
-    return inliers
-
-
-def _plane_through(points: Floats, inliers: Flags) -> PlaneFit:
+def plane_through(points: Floats, inliers: Flags) -> PlaneFit:
+    """Total least squares plane through the points (N, 3) marked as ``inliers`` (N,)."""
     used = points[inliers]
     if len(used) < 3:
         raise DegenerateError(f"only {len(used)} points left on the plane; at least 3 needed")
@@ -250,7 +167,8 @@ def _plane_through(points: Floats, inliers: Flags) -> PlaneFit:
     return PlaneFit(normal, float(normal @ centre), centre, axes[:2], covariance, rms, inliers)
 
 
-def _sphere_through(points: Floats, inliers: Flags, radius_mm: float | None) -> SphereFit:
+def sphere_through(points: Floats, inliers: Flags, radius_mm: float | None) -> SphereFit:
+    """Least squares sphere through the points (N, 3) marked as ``inliers`` (N,), of the radius given or its own."""
     used = points[inliers]
     least = 4 if radius_mm is None else 3
     if len(used) < least:
@@ -269,7 +187,7 @@ def _sphere_through(points: Floats, inliers: Flags, radius_mm: float | None) -> 
         jacobian = -rays / lengths[:, None]
         if radius_mm is None:
             jacobian = np.column_stack([jacobian, -np.ones(len(p))])
-        step, *_ = np.linalg.lstsq(jacobian, -(lengths - radius), rcond=None)
+        step, *_ = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ (radius - lengths), rcond=None)
         centre = centre + step[:3]
         if radius_mm is None:
             radius += float(step[3])

@@ -65,13 +65,13 @@ def coarser(one: Resolution, other: Resolution) -> Resolution:
 
 
 def prepare_scan(
-    points: ArrayLike, resolution: Resolution, viewpoint_mm: ArrayLike | None = None, feature_voxels: float = 5.0
+    points: ArrayLike, resolution: Resolution, viewpoint_mm: ArrayLike | None = None, feature_voxels: float | None = 5.0
 ) -> Scan:
     """Surfels, normals and FPFH of a scan (N, 3).
 
     Args:
         viewpoint_mm: the scanner (3,) in the frame of the points; guessed when left out (``guess_viewpoint``).
-        feature_voxels: FPFH radius in voxels.
+        feature_voxels: FPFH radius in voxels; None leaves the histograms out, for a scan whose pose is known.
     """
     points = np.asarray(points, dtype=float)
     fine = build_surfels(points, resolution.surfel_mm)
@@ -85,7 +85,10 @@ def prepare_scan(
         fine = replace(fine, normals=np.where(turned[:, None], -fine.normals, fine.normals))
     else:
         fine = replace(fine, normals=orient_to_viewpoint(fine.points, fine.normals, viewpoint))
-    features = compute_fpfh(coarse.points, normals, feature_voxels * voxel)
+    if feature_voxels is None:
+        features = np.empty((len(coarse), 0))
+    else:
+        features = compute_fpfh(coarse.points, normals, feature_voxels * voxel)
     keypoints = Keypoints(coarse.points, normals, features, voxel)
     return Scan(points, viewpoint, fine, replace(coarse, normals=normals), keypoints)
 

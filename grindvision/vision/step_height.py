@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
-from grindvision.geometry import PlaneFit, check_points, fit_plane, ransac_plane
+from grindvision.geometry import PlaneFit, check_points, fit_plane
+from grindvision.geometry.ransac import ransac_plane
 
 Floats = NDArray[np.float64]
 
