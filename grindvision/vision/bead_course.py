@@ -102,7 +102,8 @@ def _ordered(
     places /= np.bincount(piece, weights, number)[:, None]
     amounts = np.bincount(piece, minlength=number)
     links: list[set[int]] = [set() for _ in range(number)]
-    for a, b in np.unique(np.stack([np.repeat(piece, np.diff(around.starts)), piece[around.indices]]), axis=1).T:
+    pairs = np.unique(np.repeat(piece, np.diff(around.starts)) * number + piece[around.indices])
+    for a, b in zip(*np.divmod(pairs, number), strict=True):
         if a != b:
             links[a].add(int(b))
     _prune(links, amounts)

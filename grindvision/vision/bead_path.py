@@ -120,8 +120,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
         _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], width)
         for arc, used in windows
     ]
-    shapes = _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width)
-    laterals, heights = zip(*(one.ridge(shape) for one, shape in zip(sections, shapes, strict=True)), strict=True)
+    laterals, heights = _ridges(sections, _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width), width)
     tangents, places = stations.tangents(arcs), stations.at(arcs)
     normals = np.array([one.weights @ cluster.normals[used] for one, (_, used) in zip(sections, windows, strict=True)])
     normals -= (normals * tangents).sum(axis=1, keepdims=True) * tangents
@@ -130,8 +129,8 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
         np.average(offsets[used] @ up, weights=one.weights)
         for one, up, (_, used) in zip(sections, normals, windows, strict=True)
     ]
-    places = places + np.array(depths)[:, None] * normals + np.array(laterals)[:, None] * np.cross(normals, tangents)
-    return places, normals, np.array(heights)
+    places = places + np.array(depths)[:, None] * normals + laterals[:, None] * np.cross(normals, tangents)
+    return places, normals, heights
 
 
 def _along(s: Floats, arc: float, stations: Curve) -> Floats:
@@ -158,21 +157,19 @@ class _Section:
         self.normal, self.right = terms.T @ weighted, weighted.T @ h
         self.flanks = np.array([self.weights @ (side * b > FLANK) for side in (-1, 1)]) / self.weights.sum()
 
-    def equations(self) -> tuple[Floats, Floats]:
-        """Normal equations (4, 4) and (4,) of the section's shape, whatever the other terms are."""
-        others = np.linalg.lstsq(self.normal[:4, :4], self.normal[:4, 4:], rcond=1e-12)[0]
-        return self.normal[4:, 4:] - self.normal[4:, :4] @ others, self.right[4:] - others.T @ self.right[:4]
 
-    def ridge(self, shape: Floats) -> tuple[float, float]:
-        """Where across the ridge lies, and its height, given the section's shape (4,)."""
-        free = np.eye(8)[:, :5]
-        free[[0, 4, 5, 6], 4] = -POWERS * shape  # a shift adds -g'(b)
-        left = self.right - self.normal[:, 4:] @ shape
-        level, *_, shift = np.linalg.lstsq(free.T @ self.normal @ free, free.T @ left, rcond=1e-12)[0]
-        heights = level + ACROSS_POWERS @ shape
-        top = _middle_of_top(ACROSS, heights)
-        lateral = float(np.clip(top + shift, -FARTHEST, FARTHEST))
-        return lateral * self.width, float(np.interp(top, ACROSS, heights))
+def _ridges(sections: list[_Section], shapes: Floats, width: float) -> tuple[Floats, Floats]:
+    """Where across the ridges lie (M,), and their heights (M,), given the sections' shapes (M, 4)."""
+    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
+    free = np.tile(np.eye(8)[:, :5], (len(sections), 1, 1))
+    free[:, [0, 4, 5, 6], 4] = -POWERS * shapes  # a shift adds -g'(b)
+    left = right - (normal[:, :, 4:] @ shapes[:, :, None])[:, :, 0]
+    free_rows = free.transpose(0, 2, 1)
+    found = np.linalg.pinv(free_rows @ normal @ free, rcond=1e-12) @ (free_rows @ left[:, :, None])
+    heights = found[:, 0] + shapes @ ACROSS_POWERS.T
+    tops = np.array([_middle_of_top(ACROSS, one) for one in heights])
+    laterals = np.clip(tops + found[:, 4, 0], -FARTHEST, FARTHEST)
+    return laterals * width, np.array([np.interp(top, ACROSS, one) for top, one in zip(tops, heights, strict=True)])
 
 
 def _middle_of_top(across: Floats, heights: Floats) -> float:
@@ -189,19 +186,26 @@ def _middle_of_top(across: Floats, heights: Floats) -> float:
 
 def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
     """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
-    equations, rights = map(np.array, zip(*(section.equations() for section in sections), strict=True))
+    equations, rights = _shape_equations(sections)
     flanks = np.array([section.flanks for section in sections])
     away = np.abs(np.array([_along(arcs, arc, stations) for arc in arcs]))
     weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
     weights /= weights.sum(axis=1, keepdims=True)
-    shapes = np.zeros(rights.shape)
-    for shape, weight in zip(shapes, weights, strict=True):
-        terms = len(POWERS) if (weight @ flanks > LEAST_FLANK).all() else 2
-        pooled = np.tensordot(weight, equations[:, :terms, :terms], 1)
-        shape[:terms] = np.linalg.lstsq(pooled, weight @ rights[:, :terms], rcond=1e-9)[0]
-        if terms == 2 and shape[1] >= 0:
-            shape[:] = 0.0  # no ridge shows; the course stays where it is
+    equations, rights = np.tensordot(weights, equations, 1), weights @ rights
+    shapes, shown = np.zeros(rights.shape), (weights @ flanks > LEAST_FLANK).all(axis=1)
+    for some, terms in ((shown, len(POWERS)), (~shown, 2)):
+        inverses = np.linalg.pinv(equations[some, :terms, :terms], rcond=1e-9)
+        shapes[some, :terms] = (inverses @ rights[some, :terms, None])[:, :, 0]
+    shapes[~shown & (shapes[:, 1] >= 0)] = 0.0  # no ridge shows; the course stays where it is
     return shapes
+
+
+def _shape_equations(sections: list[_Section]) -> tuple[Floats, Floats]:
+    """Normal equations (M, 4, 4) and (M, 4) of the sections' shapes, whatever the other terms are."""
+    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
+    others = np.linalg.pinv(normal[:, :4, :4], rcond=1e-12) @ normal[:, :4, 4:]
+    rights = right[:, 4:] - (others.transpose(0, 2, 1) @ right[:, :4, None])[:, :, 0]
+    return normal[:, 4:, 4:] - normal[:, 4:, :4] @ others, rights
 
 
 def _smoothed(places: Floats, closed: bool) -> Floats:

@@ -64,9 +64,16 @@ def sac_ia_paper(
     tree = cKDTree(target.points)
     alike = most_similar(source.features, target.features, similar)
 
-    def error(transform: Floats) -> float:
-        distances, _ = tree.query(move_points(transform, source.points))
-        return float(huber(distances**2, t_e).mean())
+    few = source.points[:: max(len(source) // 50, 1)]
+
+    def penalties(transform: Floats, points: Floats) -> Floats:
+        distances, _ = tree.query(move_points(transform, points))
+        return huber(distances**2, t_e)
+
+    def error(transform: Floats, least: float = np.inf) -> float:
+        if penalties(transform, few).sum() > (1 + 1e-9) * least * len(source):
+            return np.inf  # a few points are already farther off than all points of the best pose
+        return float(penalties(transform, source.points).mean())
 
     best, least = np.eye(4), np.inf
     for _ in range(iterations):
@@ -76,7 +83,7 @@ def sac_ia_paper(
             transform = fit_rigid(source.points[samples], target.points[partners]).T_target_source
         except DegenerateError:
             continue
-        value = error(transform)
+        value = error(transform, least)
         if value < least:
             best, least = transform, value
     if refine:
