@@ -12,9 +12,15 @@ def test_results_come_in_order_as_those_of_map():
     assert side_by_side(abs, []) == []
 
 
-def test_two_jobs_run_at_once():
+def test_two_jobs_run_at_once(monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
     both = threading.Barrier(2, timeout=60)
     assert sorted(side_by_side(lambda _: both.wait(), range(2))) == [0, 1]
+
+
+def test_a_process_that_may_use_one_core_starts_no_thread(monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    assert side_by_side(lambda _: threading.get_ident(), range(4)) == [threading.get_ident()] * 4
 
 
 @pytest.mark.parametrize("broken", range(4))

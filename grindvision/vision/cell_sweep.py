@@ -1,4 +1,4 @@
-"""Visiting every point's neighbours without ever listing them: cell by cell, on all cores.
+"""Visiting every point's neighbours without ever listing them: cell by cell, on all cores that may be used.
 
 Points are sorted into cells of half the radius. A kernel is called with a range of cells; for each cell it copies the
 candidates of the 125 cells around into a small buffer once, and every point of the cell then runs over that buffer.
@@ -7,7 +7,6 @@ Coordinates are float32 relative to the cell, which keeps them exact to a tenth 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry.cell_grid import CellGrid, build_cells, cell_key, find_slot
+from grindvision.vision.threads import usable_cores
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -50,7 +50,7 @@ def sweep(kernel: Callable[..., None], grid: CellGrid, *arguments: object) -> No
     The kernel must release the interpreter lock and write only what belongs to the points of its own cells.
     """
     cells = len(grid.starts) - 1
-    cores = os.cpu_count() or 1
+    cores = usable_cores()
     cuts = np.linspace(0, cells, min(cells, cores * _RANGES_PER_CORE) + 1).astype(int)
     fixed = (grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1 / grid.size_mm)
     if cores == 1 or cells < 64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -9,10 +10,18 @@ from typing import TypeVar
 Result = TypeVar("Result")
 
 
+def usable_cores() -> int:
+    """Cores that this process may keep busy: ``NUMBA_NUM_THREADS`` where it is set, else all of the machine."""
+    return int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1)
+
+
 def side_by_side(function: Callable[..., Result], *columns: Iterable) -> list[Result]:
     """``list(map(function, *columns))`` in two threads, of which the caller's is one: what a thread has freed stays
-    with it, and a caller who waits would keep memory that a third thread has to ask for again."""
+    with it, and a caller who waits would keep memory that a third thread has to ask for again. With one core to
+    use, in one."""
     jobs = list(zip(*columns, strict=True))
+    if usable_cores() == 1:
+        return [function(*job) for job in jobs]
     results: list[Result | None] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))
 
