@@ -68,6 +68,21 @@ def test_a_free_base_hides_four_more(rng):
     assert "d1 and base z only as a sum" in found.sentences
 
 
+@pytest.mark.parametrize("base", [0, 6])
+def test_what_is_said_and_in_which_order_does_not_hang_on_rounding(base, rng):
+    """Equations mixed by a rotation say the same: sentences stand in the order of the unknowns, first named first."""
+    _, design, unknowns, units = nominal_design(rng, base)
+    matrix = design.reshape(-1, len(unknowns))
+    found = analyse(matrix, unknowns.names, units)
+    for _ in range(20):
+        turn = np.linalg.qr(rng.normal(size=(len(matrix),) * 2))[0]
+        again = analyse(turn @ matrix, unknowns.names, units)
+        assert again.sentences == found.sentences
+        np.testing.assert_allclose(again.null_space, found.null_space, atol=1e-6)
+    firsts = [np.flatnonzero(column)[0] for column in found.null_space.T]
+    assert firsts == sorted(firsts)
+
+
 def test_null_space_moves_nothing(rng):
     _, design, unknowns, units = nominal_design(rng, base=6)
     found = analyse(design.reshape(-1, 29), unknowns.names, units)

@@ -89,7 +89,10 @@ def correlations(covariance: ArrayLike, known: ArrayLike) -> Floats:
 
 
 def _sparse_basis(basis: Floats) -> Floats:
-    """Reduced echelon form of a null space (K, m): a column has a 1 where the others have 0; small entries cleared."""
+    """Reduced echelon form of a null space (K, m): a column has a 1 where the others have 0; small entries cleared.
+
+    Columns stand in the order of the unknowns in them: the order of elimination is a matter of rounding.
+    """
     echelon = basis.copy()
     pivots: list[int] = []
     for column in range(echelon.shape[1]):
@@ -104,7 +107,7 @@ def _sparse_basis(basis: Floats) -> Floats:
         others = [c for c in range(echelon.shape[1]) if c != column]
         echelon[:, others] -= np.outer(echelon[:, column], echelon[pivot, others])
     echelon[np.abs(echelon) < 1e-2 * np.abs(echelon).max(axis=0, initial=1e-300)] = 0
-    return echelon
+    return echelon[:, sorted(range(len(pivots)), key=lambda column: np.flatnonzero(echelon[:, column]).tolist())]
 
 
 def _sentences(null_space: Floats, names: tuple[str, ...]) -> tuple[str, ...]:
