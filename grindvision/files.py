@@ -166,7 +166,8 @@ def read_table(
 ) -> pd.DataFrame:
     """Read a CSV whose named columns must be there, and whose ``numbers`` columns must be finite floats.
 
-    Commas, semicolons or tabs part the columns; where it is not the comma, numbers may have a decimal comma. A column
+    Commas, semicolons, tabs or, where the first line has none of these, blanks part the columns; where it is not the
+    comma, numbers may have a decimal comma. Lines that begin with # are passed over. A column
     ``q_rad`` or ``x_mm`` may stand in the file as ``q_deg`` or ``x_m``; it is converted. Further columns are kept.
 
     Args:
@@ -255,13 +256,15 @@ def _text_table(path: Path) -> pd.DataFrame:
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             head = next((line for line in file if line.strip() and not line.startswith("#")), "")
-        separator = max(",;\t", key=head.count)
-        names = [name.strip() for name in next(csv.reader([head], delimiter=separator, skipinitialspace=True), [])]
+        blank = " " if " " in head.strip() else ","
+        separator = max((mark for mark in ",;\t" if mark in head), key=head.count, default=blank)
+        first = csv.reader([head.strip(" \n")], delimiter=separator, skipinitialspace=True)
+        names = [name.strip() for name in next(first, [])]
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
                 path,
-                sep=separator,
+                sep=r"\s+" if separator == " " else separator,
                 decimal="." if separator == "," else ",",
                 encoding="utf-8-sig",
                 skipinitialspace=True,
@@ -274,6 +277,8 @@ def _text_table(path: Path) -> pd.DataFrame:
         raise FileError(f"{path}: rows have more columns than the first line names; mend the file") from None
     except (OSError, ValueError, csv.Error, MemoryError) as error:
         raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())[:200]})") from None
+    if pd.to_numeric(pd.Series(names, dtype=object), errors="coerce").notna().all():
+        raise FileError(f"{path}: the first line holds numbers; write the columns' names above it, without #")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise FileError(f"{path}: column {twice[0]} stands in the first line {names.count(twice[0])} times; mend it")
@@ -290,10 +295,9 @@ def _floats(path: Path, table: pd.DataFrame, column: str) -> pd.Series:
     bad = ~values.abs().lt(float("inf"))
     if bad.any():
         row = int(bad.to_numpy().argmax())
-        raise FileError(
-            f"{path}: row {row + 1}, column {column}: {str(table[column].iloc[row])[:40]!r} is not a finite number;"
-            " mend the file"
-        )
+        cell = table[column].iloc[row]
+        shown = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
+        raise FileError(f"{path}: row {row + 1}, column {column}: {shown} is not a finite number; mend the file")
     return values
 
 

@@ -259,6 +259,17 @@ def test_the_command_refuses_in_one_line(folder, columns, message, capsys):
     assert not (folder / "out").exists()
 
 
+def test_a_table_parted_by_blanks_gives_the_same_cell(folder):
+    assert command(folder) == 0
+    first = json.loads((folder / "out" / "hand_eye.json").read_text())
+    for name in ("m.csv", "r.csv"):
+        pd.read_csv(folder / name).to_csv(folder / name, index=False, sep=" ")
+    assert command(folder) == 0
+    again = json.loads((folder / "out" / "hand_eye.json").read_text())
+    for name, pose in first.items():
+        np.testing.assert_allclose(again[name], pose, atol=1e-9)
+
+
 def test_a_file_of_another_arm(folder):
     with pytest.raises(FileError, match=r"m.csv: 4 columns of joint angles .* but the robot table has 6 joints"):
         read_measurements(folder / "m.csv", 6)

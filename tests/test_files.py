@@ -104,9 +104,43 @@ def test_json_that_is_none_is_refused(tmp_path, content):
         read_json(tmp_path / "a.json")
 
 
-@pytest.mark.parametrize("gap", [";", "\t"])
+@pytest.mark.parametrize("gap", [";", "\t", " "])
 def test_decimal_commas_where_something_else_parts_the_columns(tmp_path, gap):
     (tmp_path / "table.csv").write_text(f"x_mm{gap}y_mm{gap}n\n1,5{gap}2.25{gap}a\n-3,25{gap}1e-2{gap}b,c\n")
     table = read_table(tmp_path / "table.csv", ["x_mm", "y_mm"], ["n"])
     assert table["x_mm"].tolist() == [1.5, -3.25] and table["y_mm"].tolist() == [2.25, 0.01]
     assert table["n"].tolist() == ["a", "b,c"]
+
+
+def test_a_table_reads_alike_whatever_parts_its_columns(tmp_path, rng):
+    """Commas, semicolons, tabs, one blank or many, ragged like a printed table: the same numbers and names."""
+    numbers, names = rng.normal(size=(7, 3)) * 10.0 ** rng.integers(-3, 4, (7, 3)), ["x_mm", "own y", "z_mm"]
+    tables, ours = {}, ["x_mm", "y_mm", "z_mm"]
+    for name, gap in (("comma", ","), ("semicolon", ";"), ("tab", "\t"), ("blank", " "), ("blanks", "   ")):
+        lines = [gap.join(f'"{word}"' if " " in word else word for word in names)]
+        lines += [gap.join(map(repr, row)) for row in numbers.tolist()]
+        (tmp_path / name).write_text("# exported\n" + "\n".join(lines) + "\n")
+        tables[name] = read_table(tmp_path / name, ours, columns={"y_mm": "own y"})
+    ragged = [" ".join(f"{value!r:>{9 + 3 * column}}" for column, value in enumerate(row)) for row in numbers.tolist()]
+    (tmp_path / "ragged").write_text('  x_mm "own y"      z_mm\n' + "\n".join(f"{line}  " for line in ragged) + "\n")
+    tables["ragged"] = read_table(tmp_path / "ragged", ours, columns={"y_mm": "own y"})
+    for table in tables.values():
+        assert list(table.columns) == [*names, "y_mm"]
+        np.testing.assert_allclose(table[ours].to_numpy(), numbers, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("x_mm y_mm\n1 2\n3\n", "row 2, column y_mm: an empty cell is not a finite number"),
+        ("x_mm y_mm\n1 2 3\n", "more columns than the first line names"),
+        ("x mm y mm\n1 2\n", "column mm stands in the first line 2 times"),
+        ("1.0 2.0\n3.0 4.0\n", "the first line holds numbers; write the columns' names above it"),
+        ("# x_mm y_mm\n1,2\n3,4\n", "the first line holds numbers; write the columns' names above it"),
+        ("x_mm y_mm\n1 far\n", "row 1, column y_mm: 'far' is not a finite number"),
+    ],
+)
+def test_a_table_parted_by_blanks_is_refused_with_its_place(tmp_path, content, message):
+    (tmp_path / "table.txt").write_text(content)
+    with pytest.raises(FileError, match=message):
+        read_table(tmp_path / "table.txt", ["x_mm", "y_mm"])

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from grindvision.calibration import Calibration, HeldOut, Measurements
 
 EPILOG = """\
-MEASUREMENTS.csv, one row per point measured at one pose of the arm; further columns are ignored:
+MEASUREMENTS.csv, one row per point measured at one pose of the arm, below a line of names; commas, semicolons, tabs or
+blanks part the columns, further columns are ignored:
   q1_rad .. qN_rad          joint angles; q1_deg .. for degrees
   bx_mm, by_mm, bz_mm       the point in the tracker's frame; bx_m .. for metres
   sx_mm, sy_mm, sz_mm       the same point in the scanner's frame. Leave all three out when the tracker's reflector sits
