@@ -55,12 +55,14 @@ FLOAT32_MM = 8192.0
 class Cloud:
     """Points (N, 3) in mm and, where known, unit normals (N, 3).
 
-    ``grid`` is (rows, columns) of an organised cloud, whose points are stored row by row; None otherwise.
+    ``grid`` is (rows, columns) of an organised cloud, whose points are stored row by row; None otherwise. ``mesh`` says
+    that they are of a surface in the file, a CAD model's or one that software made of scans.
     """
 
     points: Floats
     normals: Floats | None = None
     grid: tuple[int, int] | None = None
+    mesh: bool = False
 
     def __len__(self) -> int:
         return len(self.points)
@@ -107,7 +109,8 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
     if content.note:
         warnings.warn(f"{path}: {content.note}", GrindvisionWarning, stacklevel=2)
     scale = MM_PER[unit or content.unit or "mm"]
-    return Cloud(content.points if scale == 1.0 else content.points * scale, content.normals, content.grid)
+    points = content.points if scale == 1.0 else content.points * scale
+    return Cloud(points, content.normals, content.grid, content.mesh)
 
 
 def finite_points(cloud: Cloud, name: str) -> Floats:

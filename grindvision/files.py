@@ -277,7 +277,7 @@ def _text_table(path: Path) -> pd.DataFrame:
         raise FileError(f"{path}: rows have more columns than the first line names; mend the file") from None
     except (OSError, ValueError, csv.Error, MemoryError) as error:
         raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())[:200]})") from None
-    if pd.to_numeric(pd.Series(names, dtype=object), errors="coerce").notna().all():
+    if pd.to_numeric(pd.Series(names, dtype=object), errors="coerce").notna().mean() > 0.5:
         raise FileError(f"{path}: the first line holds numbers; write the columns' names above it, without #")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

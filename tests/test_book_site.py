@@ -141,11 +141,13 @@ def test_findings_say_what_the_printed_tables_say(whole_site):
         f"from {numbers['length_least']:.2f} to {numbers['length_most']:.2f}",
         f"number {numbers['centre_rank']} of {numbers['heights']}",
         f"tell {numbers['rank_before']} combinations",
+        f"comes to {numbers['calibrated_mm']:.2f} mm; a field known exactly",
     ):
         assert said in page
     assert numbers["motion_rms_um"] == pytest.approx(0.174, abs=0.001)
     assert (numbers["off_least_deg"], numbers["off_most_deg"]) == pytest.approx((35.08, 52.54), abs=0.01)
     assert (numbers["rank_before"], numbers["rank_behind"], numbers["centre_rank"]) == (20, 19, 4)
+    assert numbers["exact_mm"] <= numbers["calibrated_mm"] < numbers["asked_mm"] < numbers["oracle_mm"]
     assert numbers["accurate_nominal_mm"] == pytest.approx(0.129, abs=0.002)
 
 

@@ -123,6 +123,7 @@ def test_dense_meshes_give_their_vertices(tmp_path, patch):
         + "".join("f {}//1 {}//1 {}//1\n".format(*(row + 1)) for row in triangles)
     )
     for name in ("a.stl", "b.stl", "a.obj"):
+        assert read_cloud(tmp_path / name).mesh
         found = read_cloud(tmp_path / name).points
         order = np.lexsort(found.T[::-1]), np.lexsort(vertices.T[::-1])
         np.testing.assert_allclose(found[order[0]], vertices[order[1]], atol=1e-4)

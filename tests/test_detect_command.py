@@ -4,11 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair
+from grinding_scene import arc_bead, pair, plate_height
 
 from grindvision.cli import main
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid
+from grindvision.vision.field_correction import FieldCorrection, write_field
 
 
 @pytest.fixture(scope="module")
@@ -157,3 +158,62 @@ def test_real_range_scans_meet(real_data, tmp_path, capsys):
     at = read_cloud(test, "m").points.mean(axis=0)
     assert np.degrees(angle_between(found, expected)) < 0.2
     assert np.linalg.norm(move_points(found, at) - move_points(expected, at)) < 0.3
+
+
+def model_files(folder):
+    """The good part in its own frame, points on both sides of z = 0: a PLY with faces, an OBJ, and its bare points."""
+    x, y = np.meshgrid(np.arange(-100.0, 101.0), np.arange(-70.0, 71.0))
+    points = np.column_stack([x.ravel(), y.ravel(), plate_height(x, y).ravel()])
+    at = np.arange(x.size).reshape(x.shape)
+    squares = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=-1).reshape(-1, 4)
+    rows = ["{:.6f} {:.6f} {:.6f}".format(*row) for row in points]
+    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+    faces = f"element face {len(squares)}\nproperty list uchar int vertex_indices\nend_header\n"
+    corners = ["4 {} {} {} {}".format(*row) for row in squares]
+    (folder / "faces.ply").write_text("\n".join([head.format(len(points)) + faces + rows[0], *rows[1:], *corners, ""]))
+    (folder / "model.obj").write_text(
+        "".join(f"v {row}\n" for row in rows) + "".join("f {} {} {} {}\n".format(*row) for row in squares + 1)
+    )
+    write_ply(folder / "points.ply", points)
+
+
+def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, tmp_path, capsys):
+    """With the field, bent scans give the result of true ones; a model, which no scanner bent, stays as it is."""
+    folder, case = scene
+    u, v = np.meshgrid(np.linspace(-0.5, 0.5, 41), np.linspace(-0.5, 0.5, 41), indexing="ij")
+    error = np.repeat((0.4 * np.cos(9 * u + 1) * np.cos(7 * v))[:, :, None], 2, axis=2)
+    field = FieldCorrection(error, np.array([-0.5, -0.5, 300]), np.array([0.5, 0.5, 500]), np.array([0.0, 0, 1]))
+    write_field(field, tmp_path / "field.npz")
+    model_files(tmp_path)
+    for name, true in (("sample", case.sample), ("test", case.test)):
+        write_ply(tmp_path / f"{name}.ply", true * (1 + field.error_mm(true) / true[:, 2])[:, None])
+
+    def found(*words):
+        code, _, error = run(capsys, *words, "-o", tmp_path / "out")
+        assert code == 0, error
+        report = json.loads((tmp_path / "out" / "report.json").read_text())
+        path = np.genfromtxt(tmp_path / "out" / "path.csv", delimiter=",", names=True)
+        return np.array(report["T_sample_test"]), np.column_stack([path[name] for name in ("x_mm", "y_mm", "z_mm")])
+
+    words = ("--field-correction", tmp_path / "field.npz")
+    for sample, true_sample, more in (
+        ("sample.ply", folder / "sample.ply", ()),
+        ("faces.ply", tmp_path / "faces.ply", ()),
+        ("model.obj", tmp_path / "model.obj", ()),
+        ("points.ply", tmp_path / "points.ply", ("--sample-model",)),
+    ):
+        wanted, path = found(true_sample, folder / "test.ply")
+        pose, mended = found(tmp_path / sample, tmp_path / "test.ply", *words, *more)
+        assert np.abs(move_points(pose, path) - move_points(wanted, path)).max() < 0.03, sample
+        assert np.abs(mended - path).max() < 0.06, sample
+    bent = found(tmp_path / "sample.ply", tmp_path / "test.ply")[1]
+    assert np.abs(bent - found(folder / "sample.ply", folder / "test.ply")[1]).max() > 0.12
+
+    for sample, test, more, said in (
+        ("points.ply", "test.ply", (), "or say --sample-model"),
+        ("sample.ply", "faces.ply", (), "faces.ply: a mesh"),
+        ("sample.ply", "test.ply", ("--sample-viewpoint", 0, 0, 9), "scanner's own frame"),
+    ):
+        code, _, error = run(capsys, tmp_path / sample, tmp_path / test, *words, *more, "-o", tmp_path / "none")
+        assert code == 2 and said in error and error.count("\n") == 1
+        assert not (tmp_path / "none").exists()

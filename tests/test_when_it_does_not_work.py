@@ -275,6 +275,15 @@ def on_the_table(folder):
     return seam(folder, points - points.mean(axis=0), "--field-correction", field(folder))
 
 
+@mistake("A mesh has no scanner's error")
+def joined_views(folder):
+    words = two(folder, beaded().sample, beaded().test, "--field-correction", field(folder))
+    corners = beaded().test[:2000].tolist()
+    lines = [*("v {} {} {}".format(*corner) for corner in corners), *(f"f {i} {i + 1} {i + 2}" for i in range(1, 1999))]
+    (folder / "test.obj").write_text("\n".join(lines))
+    return [folder / "test.obj" if word == folder / "test.ply" else word for word in words]
+
+
 @mistake("A way point out of reach")
 def far_away(folder):
     return welded(folder, rigid(ABOVE[:3, :3], [810.0, 0.0, 450.0]))
@@ -283,6 +292,14 @@ def far_away(folder):
 @mistake("Behind the table")
 def too_low(folder):
     return welded(folder, rigid(ABOVE[:3, :3], [310.0, 0.0, 370.0]))
+
+
+@mistake("No line of names")
+def without_names(folder):
+    words = spheres(folder)
+    table = folder / "m.csv"
+    table.write_text(table.read_text().split("\n", 1)[1])
+    return words
 
 
 @mistake("Degrees")

@@ -12,6 +12,7 @@ from grindvision.cli.scans import (
     add_field_argument,
     add_unit_argument,
     add_viewpoint_argument,
+    check_own_frame,
     corrected,
     read_correction,
     read_pose,
@@ -21,7 +22,11 @@ from grindvision.cli.scans import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from grindvision.clouds import Cloud
     from grindvision.vision.detection import Detection
+    from grindvision.vision.field_correction import FieldCorrection
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -38,6 +43,7 @@ exit code: 0 done (also when there is nothing to grind), 2 the input cannot be u
 examples:
   grindvision detect good.ply test.ply -o result
   grindvision detect good.stl test.pcd -o result --unit m --scanner-pose pose.json --points 12
+  grindvision detect model.stl test.ply -o result --field-correction camera/field.npz
   grindvision detect good.ply test.ply -o again --parameters result/parameters.toml
 """
 
@@ -57,6 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST")
     add_field_argument(scans)
+    scans.add_argument(
+        "--sample-model",
+        action="store_true",
+        help="SAMPLE is a model and has no scanner's error: --field-correction is for TEST alone (a mesh is always left"
+        " as it is; points made from a CAD model need this word)",
+    )
     path = parser.add_argument_group("path")
     path.add_argument("--points", type=whole, default=6, metavar="N", help="path points per bead (default: 6)")
     path.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
@@ -74,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.geometry import move_points, turn_vectors
     from grindvision.vision.detection import STAGES, DetectOptions, detect
 
-    field = read_correction(options.field_correction, options.sample_viewpoint, options.test_viewpoint)
+    field = read_correction(options.field_correction, options.test_viewpoint)
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
@@ -83,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
             clouds = read_scans(paths, options.unit)
             scans = [finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True)]
             if field is not None:
-                scans = [corrected(field, scan, path) for scan, path in zip(scans, paths, strict=True)]
+                scans = _corrected_pair(field, options, clouds, scans)
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
         found = detect(*scans, settings, work.finished)
         with work.stage("write"):
@@ -96,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("picture"):
             draw(found, work.warnings, work.place / "report.png")
         stood = "" if T_base_scanner is None else where_it_stood(T_base_scanner)
-        work.report(str(found), _results(found), _from_the_data(options, found), found.timings_s, stood)
+        work.report(str(found), _results(found), _from_the_data(options, clouds[0], found), found.timings_s, stood)
     return 0
 
 
@@ -122,7 +134,18 @@ def _results(found: Detection) -> dict[str, Any]:
     }
 
 
-def _from_the_data(options: argparse.Namespace, found: Detection) -> dict[str, Any]:
+def _corrected_pair(
+    field: FieldCorrection, options: argparse.Namespace, clouds: list[Cloud], scans: list[np.ndarray]
+) -> list[np.ndarray]:
+    """Both scans without the scanner's depth error; a SAMPLE that no scanner measured stays as it is."""
+    sample, test = scans
+    if not (options.sample_model or clouds[0].mesh):
+        check_own_frame(options.sample_viewpoint)
+        sample = corrected(field, clouds[0], sample, options.sample, "export it as measured, or say --sample-model")
+    return [sample, corrected(field, clouds[1], test, options.test)]
+
+
+def _from_the_data(options: argparse.Namespace, sample: Cloud, found: Detection) -> dict[str, Any]:
     values: dict[str, Any] = {
         "surfel_mm": found.test.surfels.grid.size_mm,
         "voxel_mm": found.test.voxels.grid.size_mm,
@@ -130,6 +153,8 @@ def _from_the_data(options: argparse.Namespace, found: Detection) -> dict[str, A
     }
     if options.unit is None:
         values["unit"] = "mm unless the files say m"
+    if options.field_correction is not None and sample.mesh:
+        values["sample-model"] = True
     for name, scan in (("sample", found.sample), ("test", found.test)):
         if getattr(options, f"{name}_viewpoint") is None:
             values[f"{name}-viewpoint"] = "not known" if scan.viewpoint_mm is None else scan.viewpoint_mm

@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             rows, (copies, originals) = usable_rows(cloud, options.cloud)
             points = cloud.points if rows.all() else cloud.points[rows]
             if field is not None:
-                points = corrected(field, points, options.cloud)
+                points = corrected(field, cloud, points, options.cloud)
         weld = trace_weld(points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels

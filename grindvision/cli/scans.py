@@ -54,39 +54,54 @@ def add_field_argument(group: argparse._ArgumentGroup) -> None:
         "--field-correction",
         metavar="FILE.npz",
         help="take the scanner's own depth error off first, as `grindvision calibrate-field` learned it; for clouds in"
-        " the scanner's frame as it measured them",
+        " the scanner's frame as it measured them, not for meshes",
     )
 
 
-def read_correction(path: str | None, *viewpoints: Sequence[float] | None) -> FieldCorrection | None:
-    """The field correction of ``--field-correction``, if given.
+def read_correction(path: str | None, viewpoint: Sequence[float] | None) -> FieldCorrection | None:
+    """The field correction of ``--field-correction``, if given, for a cloud seen from ``viewpoint``.
 
     Raises:
-        FileError: see ``read_field``. InputError: a viewpoint says that a cloud is not in the scanner's frame.
+        FileError: see ``read_field``. InputError: see ``check_own_frame``.
     """
     if path is None:
         return None
-    if any(any(viewpoint or ()) for viewpoint in viewpoints):
-        raise InputError(
-            "--field-correction is for clouds in the scanner's own frame, where the viewpoint is 0 0 0; leave one out"
-        )
+    check_own_frame(viewpoint)
     from grindvision.vision.field_correction import read_field
 
     return read_field(path)
 
 
-def corrected(correction: FieldCorrection, points: np.ndarray, name: str) -> np.ndarray:
-    """Points (N, 3) without the scanner's depth error; points at the origin, pixels without a depth, stay there.
+def check_own_frame(viewpoint: Sequence[float] | None) -> None:
+    """Refuse to correct a cloud whose viewpoint (3,), where given, is not the origin of the scanner's frame.
 
     Raises:
-        InputError: points behind the scanner.
+        InputError: it is another.
+    """
+    if any(viewpoint or ()):
+        raise InputError(
+            "--field-correction is for clouds in the scanner's own frame, where the viewpoint is 0 0 0; leave one out"
+        )
+
+
+def corrected(
+    correction: FieldCorrection, cloud: Cloud, points: np.ndarray, name: str, advice: str = "export it as measured"
+) -> np.ndarray:
+    """Points (N, 3) of a cloud without the scanner's depth error; those at the origin, pixels without depth, stay.
+
+    Raises:
+        InputError: the cloud is a mesh, or has points behind the scanner; the message ends in ``advice``.
 
     Warns:
         GrindvisionWarning: many points outside the calibrated volume.
     """
     front = points[:, 2] > 0
+    if cloud.mesh:
+        raise InputError(f"{name}: a mesh; --field-correction is for points as the scanner measured them: {advice}")
     if points[~front].any() or not front.any():
-        raise InputError(f"{name}: points with z <= 0 lie behind the scanner; --field-correction is for its own frame")
+        raise InputError(
+            f"{name}: points with z <= 0 lie behind the scanner; --field-correction is for its own frame: {advice}"
+        )
     moved = points.copy()
     moved[front] = correction.apply(points[front])
     outside = 1 - correction.holds(points[front]).mean()

@@ -19,7 +19,7 @@ class Content:
     """Points (N, 3) and, where the file has them, normals (N, 3), in the file's own unit.
 
     ``grid``: (rows, columns) of an organised cloud. ``unit``: ``mm`` or ``m`` where the file names it. ``note``: what
-    the reader had to decide, for the user to see.
+    the reader had to decide, for the user to see. ``mesh``: the file holds a surface, not points as a scanner saw them.
     """
 
     points: Floats
@@ -27,6 +27,7 @@ class Content:
     grid: tuple[int, int] | None = None
     unit: str | None = None
     note: str = ""
+    mesh: bool = False
 
     def __str__(self) -> str:
         return f"{len(self.points):,} points in {self.unit or 'an unnamed unit'}"

@@ -83,11 +83,11 @@ def _surface(triangles: Floats, vertices: Floats | None = None) -> Content:
     normals = np.cross(edges[:, 0], edges[:, 1])
     areas = np.linalg.norm(normals, axis=1) / 2
     if len(triangles) == 0 or not 0 < areas.sum() < np.inf:
-        return Content(vertices)
+        return Content(vertices, mesh=True)
     diagonal = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0)))
     long = np.linalg.norm(edges, axis=2).max(axis=1) > LONG_EDGE * diagonal
     if areas[long].sum() <= MOST_LONG * areas.sum():
-        return Content(vertices)
+        return Content(vertices, mesh=True)
     count = int(min(areas.sum() / (SAMPLE_STEP * diagonal) ** 2, MOST_SAMPLES))
     ends = np.round(np.cumsum(areas) / areas.sum() * count).astype(int)
     owner = np.repeat(np.arange(len(triangles)), np.diff(ends, prepend=0))
@@ -96,6 +96,7 @@ def _surface(triangles: Floats, vertices: Floats | None = None) -> Content:
         normals[owner] / (2 * areas[owner, None]),
         note=f"a mesh of {len(triangles):,} triangles too large to stand for its surface by their corners;"
         f" {len(owner):,} points were spread evenly over it",
+        mesh=True,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,9 +54,11 @@ def read_ply(path: Path) -> Content:
             if element.name == "vertex":
                 kinds = element.kinds(path, ORDERS.get(form, "="))
                 if form != "ascii":
-                    return content_of_records(path, file, element.count, element.names, kinds)
-                rows = numbers(path, next_lines(path, file, element.count, len(kinds)))
-                return content_of_rows(path, rows, element.names)
+                    found = content_of_records(path, file, element.count, element.names, kinds)
+                else:
+                    rows = numbers(path, next_lines(path, file, element.count, len(kinds)))
+                    found = content_of_rows(path, rows, element.names)
+                return replace(found, mesh=any(other.name == "face" and other.count for other in elements))
             _pass_over(path, file, element, form)
     raise FileError(f"{path}: the header has no element vertex; export it as a plain point cloud")
 

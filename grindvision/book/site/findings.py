@@ -10,6 +10,7 @@ import pandas as pd
 from grindvision import geometry, paper
 from grindvision.book.answers import scoreboard
 from grindvision.book.normal_readings import HALF_DIGIT, tried_readings
+from grindvision.book.waypoints import PLATES_MM
 from grindvision.files import read_table
 
 Numbers = dict[str, float | int | str]
@@ -81,10 +82,13 @@ def rebuilt_numbers(figures: Path) -> Numbers:
     spreads = saved("compound_spreads", ("spread_x_mm", "spread_y_mm", "spread_z_mm"))
     ridge = saved("compound_error", ("median cell",), ("quantity",)).set_index("quantity")["median cell"]
     overlap = saved("peng_table2", ("mean_percent",), ("piece", "method")).set_index(["piece", "method"])
-    waypoints = saved("peng_waypoints", ("shown_mean_mm",), ("piece", "variant")).set_index("variant")["shown_mean_mm"]
+    variants = saved("peng_waypoints", ("off_mean_mm", "shown_mean_mm"), ("piece", "variant")).set_index("variant")
+    waypoints, off = variants["shown_mean_mm"], variants["off_mean_mm"]
+    cameras = saved("peng_calibrated", ("off_mean_mm",), ("piece", "camera")).groupby("camera")["off_mean_mm"].mean()
     sweep = saved("peng_sensitivity", ("threshold_deg", "overlap_percent"), ("piece",))
     by_radii = sweep[(sweep["piece"] == "line") & (sweep["threshold_deg"] == 4.75)]["overlap_percent"]
-    board = scoreboard(figures).set_index(["item", "quantity"])["rebuilt"]
+    rows = scoreboard(figures).set_index(["item", "quantity"])
+    board = rows["rebuilt"]
     return {
         **{
             f"{matrix}_{name}_mm": pairs[matrix, arm]
@@ -109,6 +113,13 @@ def rebuilt_numbers(figures: Path) -> Numbers:
         "median_most_mm": waypoints["paper"].max(),
         "root_least_mm": waypoints["ours"].min(),
         "root_most_mm": waypoints["ours"].max(),
+        "bought_mm": off["ours"].mean(),
+        "shown_mm": waypoints["ours"].mean(),
+        "oracle_mm": off["oracle"].mean(),
+        "asked_mm": rows.loc[("peng_fig14", "way points to the root line, mean, ours"), "tolerance"],
+        "plates": len(PLATES_MM),
+        "calibrated_mm": cameras["calibrated"],
+        "exact_mm": cameras["true field"],
         "radii_least_percent": by_radii.min(),
         "radii_most_percent": by_radii.max(),
     }
