@@ -26,7 +26,6 @@ COLOURS = {
     "peer": "#CC79A7",
     "sample": "#56B4E9",
     "test": "#D55E00",
-    "highlight": "#F0E442",
     "grey": "#999999",
 }
 

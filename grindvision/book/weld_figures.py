@@ -114,7 +114,7 @@ def draw_motions(motions: Mapping[str, Motion]) -> tuple[Figure, pd.DataFrame]:
     """Joint angles since the start, joint speeds and clearances along each seam."""
     import matplotlib.pyplot as plt
 
-    fig, axes = plt.subplots(3, len(motions), figsize=(8.6, 6.4), sharex="col")
+    fig, axes = plt.subplots(3, len(motions), figsize=(9.8, 6.4), sharex="col")
     drawn = []
     for column, (kind, run) in zip(axes.T, motions.items(), strict=True):
         timing, free, arc = run.timing, run.clearance.distance_mm[1:-1], run.trajectory.arc_mm
@@ -133,8 +133,8 @@ def draw_motions(motions: Mapping[str, Motion]) -> tuple[Figure, pd.DataFrame]:
         axes[:, 0], ("joint angle - start, deg", "joint speed, % of limit", "clearance, mm"), strict=True
     ):
         axis.set_ylabel(label)
-    axes[0, 0].legend(ncols=2, fontsize=6)
-    axes[2, 0].legend(fontsize=6)
+    for axis in axes[[0, 2], -1]:
+        axis.legend(loc="upper left", bbox_to_anchor=(1.02, 1))
     return fig, pd.concat(drawn)
 
 
