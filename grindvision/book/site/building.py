@@ -6,6 +6,7 @@ import io
 import re
 import shutil
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -87,7 +88,7 @@ def build_site(
         write_reference(sources / "api")
     _write_index(sources, light)
     nocolor()
-    warnings = io.StringIO()
+    complaints = io.StringIO()
     shutil.rmtree(site, ignore_errors=True)
     try:
         app = Sphinx(
@@ -98,14 +99,17 @@ def build_site(
             buildername="html",
             confoverrides={"html_extra_path": [str(extra)] if scenes else []},
             status=None,
-            warning=warnings,
+            warning=complaints,
             freshenv=True,
         )
-        app.build()
+        with warnings.catch_warnings():
+            # Sphinx also parses the sources of our classes' parents; one library's write \d unescaped.
+            warnings.filterwarnings("ignore", message="invalid escape sequence")
+            app.build()
     except SphinxError as error:
         raise GrindvisionError(f"the HTML book cannot be built: {error}") from None
-    if warnings.getvalue():
-        print(warnings.getvalue(), file=sys.stderr, end="")
+    if complaints.getvalue():
+        print(complaints.getvalue(), file=sys.stderr, end="")
     return site / "index.html"
 
 
