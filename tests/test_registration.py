@@ -16,6 +16,7 @@ from grindvision.geometry import (
     small_motion,
     turn_vectors,
 )
+from grindvision.vision import plane_icp
 from grindvision.vision.agreement import agreeing_share, agreement
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.detection import DetectOptions, detect
@@ -245,6 +246,20 @@ def test_planes_are_matched_as_the_plain_twin_does(prepared, close):
     np.testing.assert_array_equal(
         facing, shown & ((turn_vectors(close, normals) * target.normals[at]).sum(axis=1) > 0.7)
     )
+
+
+def test_planes_that_are_kept_and_a_few_points_first_do_not_move_the_result(prepared, close, monkeypatch):
+    good, seen = prepared
+    source, normals = seen.surfels.points, seen.surfels.normals
+    assert len(source) > plane_icp.MANY
+    found = icp_planes(source, normals, good.surfels, close)
+    monkeypatch.setattr(plane_icp, "STAY", 0.0)
+    monkeypatch.setattr(plane_icp, "MANY", len(source))
+    plain = icp_planes(source, normals, good.surfels, close)
+    turn, shift = errors(found.T_target_source, plain.T_target_source, source.mean(axis=0))
+    assert shift < 0.02 * plain.rms_mm
+    assert turn < 1e-3
+    np.testing.assert_allclose(found.covariance, plain.covariance, rtol=0.05, atol=1e-3 * plain.covariance.max())
 
 
 @pytest.mark.parametrize("within_mm", [0.05, 0.5, 5.0])

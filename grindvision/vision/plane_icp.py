@@ -20,6 +20,12 @@ BESIDE = 1.5
 LEAST_FACING = 0.7
 """Least cosine of the angle between the normals of two surfaces that may be the same."""
 
+STAY = 0.01
+"""A point that has moved by a smaller part of a cell keeps the surfel that was found for it."""
+
+EVERY, MANY = 16, 10_000
+"""Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
+
 
 def icp_planes(
     source: ArrayLike,
@@ -34,7 +40,9 @@ def icp_planes(
 
     Residuals are weighted by Tukey's function of their own spread, so beads, outliers and the part of a scan the other
     one does not show pull nothing. Points beside the target's edge (farther along the plane than a cell and a half),
-    or whose normal turns more than 45 degrees away from the target's, are not used.
+    or whose normal turns more than 45 degrees away from the target's, are not used. The nearest surfel is sought anew
+    only for points that have moved by a hundredth of a cell since, and of many points a few come near first: the search
+    is nearly all the work.
 
     Args:
         most_mm: pairs farther apart are not used; three cells when left out.
@@ -47,12 +55,19 @@ def icp_planes(
     transform = np.eye(4) if T_start is None else check_rigid(T_start, "T_start")
     normals = np.ascontiguousarray(source_normals, dtype=float)
     grid = target.grid
-    most = 3 * grid.size_mm if most_mm is None else float(most_mm)
-    transform, information, centre, errors, weight, pairs, converged = _plane_icp(
-        np.ascontiguousarray(source), normals, transform, most, BESIDE * grid.size_mm, float(least_scale_mm),
-        iterations, target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
-        grid.origin_mm, 1.0 / grid.size_mm,
+    size = grid.size_mm
+    most = 3 * size if most_mm is None else float(most_mm)
+    planes = (
+        target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
+        1.0 / size,
     )  # fmt: skip
+    limits = most, BESIDE * size, STAY * size, float(least_scale_mm), iterations
+    if len(source) > MANY:
+        near, *_, pairs, _ = _plane_icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform, *limits, *planes)
+        transform = near if pairs >= 12 else transform
+    transform, information, centre, errors, weight, pairs, converged = _plane_icp(
+        np.ascontiguousarray(source), normals, transform, *limits, *planes
+    )
     if pairs < 12:
         raise DegenerateError(f"only {pairs} points of the scans meet within {most:.3g} mm; they do not overlap there")
     transform = rigid(nearest_rotation(transform[:3, :3]), transform[:3, 3])
@@ -66,12 +81,12 @@ def plane_residuals(
     """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
     ``most_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
     grid, count = target.grid, len(source)
-    matches, moved = np.empty(count, dtype=np.int64), np.empty((count, 3))
+    matches, moved, sought = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.full((count, 3), np.inf)
     residuals, facing = np.empty(count), np.empty(count)
     _match(
         source, source_normals, T_target_source, most_mm, BESIDE * grid.size_mm, target.normals, grid.points,
-        grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, moved, matches,
-        residuals, facing,
+        grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, 0.0, sought,
+        moved, matches, residuals, facing,
     )  # fmt: skip
     shown = matches >= 0
     return np.where(shown, residuals, np.nan), shown & (facing > LEAST_FACING)
@@ -98,10 +113,13 @@ def solve_definite(matrix, right):
 @njit(cache=True, nogil=True)
 def _match(
     source, normals, transform, most, beside, target_normals, points, order, starts, table_keys, table_cells, origin,
-    per_mm, moved, matches, residuals, facing,
+    per_mm, stay, sought, moved, matches, residuals, facing,
 ):  # fmt: skip
     """Move points (N, 3) with normals (N, 3) and find the plane of each: fill the moved points, the planes' indices, -1
-    where none is shown, distances along their normals and the cosines (N,) between the normals."""
+    where none is shown, distances along their normals and the cosines (N,) between the normals.
+
+    A point keeps its plane while it is nearer than ``stay`` to the place from which the plane was ``sought`` (N, 3).
+    """
     m = transform
     for p in range(len(source)):
         s, n = source[p], normals[p]
@@ -109,15 +127,19 @@ def _match(
         y = m[1, 0] * s[0] + m[1, 1] * s[1] + m[1, 2] * s[2] + m[1, 3]
         z = m[2, 0] * s[0] + m[2, 1] * s[1] + m[2, 2] * s[2] + m[2, 3]
         moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
-        matches[p] = -1
-        q, squared = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+        ax, ay, az = x - sought[p, 0], y - sought[p, 1], z - sought[p, 2]
+        if not ax * ax + ay * ay + az * az < stay * stay:
+            matches[p], _ = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+            sought[p, 0], sought[p, 1], sought[p, 2] = x, y, z
+        q = matches[p]
         if q < 0:
             continue
         t = target_normals[q]
-        along = t[0] * (x - points[q, 0]) + t[1] * (y - points[q, 1]) + t[2] * (z - points[q, 2])
-        if squared - along * along >= beside * beside:
+        dx, dy, dz = x - points[q, 0], y - points[q, 1], z - points[q, 2]
+        residuals[p] = t[0] * dx + t[1] * dy + t[2] * dz
+        if dx * dx + dy * dy + dz * dz - residuals[p] * residuals[p] >= beside * beside:
+            matches[p] = -1
             continue
-        matches[p], residuals[p] = q, along
         facing[p] = 0.0
         for k in range(3):
             facing[p] += t[k] * (m[k, 0] * n[0] + m[k, 1] * n[1] + m[k, 2] * n[2])
@@ -144,12 +166,13 @@ def _turn_and_shift(transform, centre, step):
 
 @njit(cache=True, nogil=True)
 def _plane_icp(
-    source, normals, transform, most, beside, least_scale, iterations,
+    source, normals, transform, most, beside, stay, least_scale, iterations,
     target_normals, points, order, starts, table_keys, table_cells, origin, per_mm,
 ):  # fmt: skip
     count = len(source)
     current = transform.copy()
     moved, residual, facing = np.empty((count, 3)), np.empty(count), np.empty(count)
+    sought = np.full((count, 3), np.inf)
     match = np.empty(count, dtype=np.int64)
     sizes = np.empty(count)
     errors = np.zeros(iterations)
@@ -161,7 +184,7 @@ def _plane_icp(
     for iteration in range(iterations):
         _match(
             source, normals, current, most, beside, target_normals, points, order, starts, table_keys, table_cells,
-            origin, per_mm, moved, match, residual, facing,
+            origin, per_mm, stay, sought, moved, match, residual, facing,
         )  # fmt: skip
         pairs = 0
         centre[:] = 0.0
