@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
-from grindvision.vision.fpfh import compute_fpfh, mirrored_fpfh
+from grindvision.vision.fpfh import BINS, _bin_of_direction, compute_fpfh, mirrored_fpfh
 from grindvision.vision.normals import (
     _covered_cells,
     estimate_normals,
@@ -52,6 +52,14 @@ def patch():
     rng = np.random.default_rng(3)
     points = scan(plate_height, view(0.2), 4000, rng, window=(20, 90, -10, 60), noise_mm=0.02)
     return points, estimate_normals(points, 4.0, 30, np.zeros(3))
+
+
+def test_the_bin_of_a_direction_is_that_of_its_angle(rng):
+    angles = rng.uniform(-np.pi, np.pi, 5000)
+    lengths = 10.0 ** rng.uniform(-6, 6, 5000)
+    found = [_bin_of_direction(x, y) for x, y in zip(lengths * np.cos(angles), lengths * np.sin(angles), strict=True)]
+    np.testing.assert_array_equal(found, np.floor(BINS * (angles + np.pi) / (2 * np.pi)))
+    assert _bin_of_direction(0.0, 0.0) == BINS // 2
 
 
 def test_fpfh_is_the_plain_twin_s(patch):

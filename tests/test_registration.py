@@ -24,7 +24,7 @@ from grindvision.vision.icp import icp_generalised, icp_points
 from grindvision.vision.keypoints import most_similar
 from grindvision.vision.normals import orient_to_viewpoint
 from grindvision.vision.plane_icp import icp_planes, plane_residuals, solve_definite
-from grindvision.vision.proposals import propose_poses
+from grindvision.vision.proposals import distinct_poses, propose_poses
 from grindvision.vision.sac_ia import huber, refine_pose, sac_ia_paper
 from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
 from grindvision.vision.verification import choose_pose
@@ -186,11 +186,49 @@ def test_choose_pose_corrects_a_rough_guess_and_drops_wrong_ones(prepared, easy,
 
 def test_proposals_are_distinct_and_hold_the_truth(prepared, easy, rng):
     good, seen = prepared
-    poses, votes = propose_poses(seen.keypoints, good.keypoints, rng)
-    assert (np.diff(votes) <= 0).all()
+    poses, shares = propose_poses(seen.keypoints, good.keypoints, rng)
+    assert (np.diff(shares) <= 0).all()
+    assert shares[0] > 0.1
+    assert (shares <= 1).all()
     turn, shift = errors(poses[0], easy.T_sample_test, easy.test.mean(axis=0))
     assert turn < 5
     assert shift < 5
+
+
+def test_distinct_poses_are_those_of_the_plain_search(rng):
+    """The oracle compares every pose with all that were kept before it."""
+    centre = np.array([100.0, -50.0, 400.0])
+    poses = np.stack([small_motion(rng.normal(size=6) * [3, 3, 3, 0.2, 0.2, 0.2]) for _ in range(300)])
+    expected: list[int] = []
+    for at, pose in enumerate(poses):
+        near = [
+            np.linalg.norm(move_points(pose, centre) - move_points(poses[other], centre)) < 60.0
+            and angle_between(pose, poses[other]) < 0.3
+            for other in expected
+        ]
+        if not any(near):
+            expected.append(at)
+    assert 10 < len(expected) < 290
+    for kept in (3, 300):
+        found, ranks = distinct_poses(poses, np.arange(300), centre, 60.0, 0.3, kept)
+        np.testing.assert_array_equal(ranks, expected[:kept])
+        np.testing.assert_array_equal(found, poses[expected[:kept]])
+
+
+def test_all_poses_of_a_symmetric_part_are_proposed():
+    """A square pocket fits after every fourth of a turn: few keypoints decide nothing, the many find all four."""
+    surface, _ = FREE["square pocket"]
+    views = view(0.3, (1.0, 0.4, 0.2)), view(-0.2, (0.3, 1.0, 0.5))
+    clouds = [
+        scan(surface, seen, 25_000, np.random.default_rng(at), mask=lambda x, y: np.hypot(x, y) < 62)
+        for at, seen in enumerate(views)
+    ]
+    good, seen = prepare_pair(*clouds)
+    poses, shares = propose_poses(seen.keypoints, good.keypoints, np.random.default_rng(3))
+    to_part = views[0] @ inverse(views[1])
+    turned = np.array([angle_between(pose, to_part) for pose in poses[shares > 0.6 * shares[0]]])
+    for quarters in range(3):
+        assert np.abs(turned - quarters * np.pi / 2).min() < 0.15
 
 
 @pytest.mark.parametrize("bend_mm", [0.0, 0.05])

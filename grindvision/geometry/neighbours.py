@@ -177,8 +177,8 @@ def _within_one(
                 for at in range(starts[cell], starts[cell + 1]):
                     p = order[at]
                     dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                    squared = dx * dx + dy * dy + dz * dz
-                    if squared <= limit:
-                        indices[used], squares[used] = p, squared
-                        used += 1
+                    # always written, and overwritten if too far: a third are near, no processor guesses which
+                    indices[used] = p
+                    squares[used] = dx * dx + dy * dy + dz * dz
+                    used += squares[used] <= limit
     return used

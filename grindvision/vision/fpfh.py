@@ -21,6 +21,12 @@ Floats = NDArray[np.float64]
 
 BINS = 11
 
+_ANGLES = np.linspace(-np.pi, np.pi, BINS + 1)[1:-1]
+_ALONG, _ACROSS = np.cos(_ANGLES), np.sin(_ANGLES)
+_TURNS = _ACROSS / (np.abs(_ALONG) + np.abs(_ACROSS))
+EDGES = np.where(_ALONG >= 0, _TURNS, np.copysign(2.0, _ACROSS) - _TURNS)
+"""Between the bins of theta, in the measure of ``_bin_of_direction``: it grows with the angle, from -2 to 2."""
+
 
 def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, most: int | None = None) -> Floats:
     """FPFH (N, 33) of points (N, 3) with unit normals (N, 3): bins of theta, then alpha, then phi (Eqs 3-5).
@@ -62,8 +68,8 @@ def _simple_histograms(points, normals, starts, indices, mutual):
             q = indices[at]
             if q == p or (mutual and q < p):
                 continue
-            theta, alpha, phi = _pair_angles(points, normals, p, q)
-            a = _bin((theta + np.pi) / (2 * np.pi))
+            x, y, alpha, phi = _pair_angles(points, normals, p, q)
+            a = _bin_of_direction(x, y)
             b = BINS + _bin((alpha + 1) / 2)
             c = 2 * BINS + _bin((phi + 1) / 2)
             histograms[p, a] += share
@@ -103,11 +109,14 @@ def _weighted_histograms(simple, starts, indices, squared):
 
 @njit(cache=True, nogil=True)
 def _pair_angles(points, normals, p, q):
-    """Eqs 3 and 4 for one pair: theta in rad, and the cosines alpha and phi; zeros where the frame is undefined."""
+    """Eqs 3 and 4 for one pair: x and y of which theta is the arctangent, and the cosines alpha and phi.
+
+    All is zero where the frame is undefined.
+    """
     dx, dy, dz = points[q, 0] - points[p, 0], points[q, 1] - points[p, 1], points[q, 2] - points[p, 2]
     d = np.sqrt(dx * dx + dy * dy + dz * dz)
     if d == 0.0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     ux, uy, uz = normals[p, 0], normals[p, 1], normals[p, 2]
     nx, ny, nz = normals[q, 0], normals[q, 1], normals[q, 2]
     phi = (ux * dx + uy * dy + uz * dz) / d
@@ -119,11 +128,24 @@ def _pair_angles(points, normals, p, q):
     vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
     length = np.sqrt(vx * vx + vy * vy + vz * vz)
     if length == 0.0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     vx, vy, vz = vx / length, vy / length, vz / length
     wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    theta = np.arctan2(wx * nx + wy * ny + wz * nz, ux * nx + uy * ny + uz * nz)
-    return theta, vx * nx + vy * ny + vz * nz, phi
+    x, y = ux * nx + uy * ny + uz * nz, wx * nx + wy * ny + wz * nz
+    return x, y, vx * nx + vy * ny + vz * nz, phi
+
+
+@njit(cache=True, nogil=True)
+def _bin_of_direction(x, y):
+    """Bin of the angle of (x, y) from -pi to pi; its arctangent would take as long as the rest of the pair."""
+    size = abs(x) + abs(y)
+    turn = y / size if size > 0 else 0.0
+    if x < 0:
+        turn = (2.0 if y >= 0 else -2.0) - turn
+    found = 0
+    for edge in EDGES:
+        found += turn >= edge
+    return found
 
 
 @njit(cache=True, nogil=True)

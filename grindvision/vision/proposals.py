@@ -19,23 +19,19 @@ Floats = NDArray[np.float64]
 COS_AGREE = float(np.cos(np.radians(15)))
 """Cosine of the angle up to which two angles of a pair of correspondences agree."""
 
+ROUNDS = ((300, 4_000, 1), (1_200, 40_000, 5))
+"""Keypoints asked for similar ones, samples in a batch, most batches: few first, many where those leave a doubt."""
+
 
 def propose_poses(
-    source: Keypoints,
-    target: Keypoints,
-    rng: np.random.Generator,
-    batch: int = 40_000,
-    batches: int = 5,
-    queries: int = 1200,
-    similar: int = 3,
-    kept: int = 40,
+    source: Keypoints, target: Keypoints, rng: np.random.Generator, similar: int = 3, kept: int = 40
 ) -> tuple[Floats, Floats]:
-    """Likely poses T_target_source (K, 4, 4), best first, and the number of keypoints (K,) that agree with each.
+    """Likely poses T_target_source (K, 4, 4), best first, and the share of keypoints (K,) that agrees with each.
 
     Steps 1-3 of section 3.3 made cheap: a sample is two points with their normals, which fix a pose; it is dropped
     unless the two distances agree within two spacings, the angles between normals within 15 degrees, and those of each
     normal to the connecting line too. What is left is scored on a part of the correspondences, the best of it on all.
-    Batches of ``batch`` samples are drawn until the best pose has 1.5 times any other's votes, ``batches`` at most.
+    Batches of samples are drawn until the best pose has 1.5 times any other's votes (``ROUNDS``).
 
     Raises:
         DegenerateError: too few keypoints, or no sample survives.
@@ -44,33 +40,18 @@ def propose_poses(
         raise DegenerateError(
             f"{len(source)} and {len(target)} keypoints are too few; scan more of the part, or more densely"
         )
-    chosen = _distinctive(source.features, queries, rng)
-    t = most_similar(source.features[chosen], target.features, similar).ravel()
-    s = np.repeat(chosen, similar)
-    matches = (source.points[s], source.normals[s], target.points[t], target.normals[t])
-    part = tuple(column[: 300 * similar] for column in matches)
-    spacing = max(source.spacing_mm, target.spacing_mm)
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
     centre = source.points.mean(axis=0)
-    poses, votes = np.empty((0, 4, 4)), np.empty(0, dtype=np.int64)
-    for _ in range(batches):
-        first, second = _agreeing_pairs(
-            *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
-        )
-        found = _poses_of_pairs(*matches, first[:2000], second[:2000])
-        found = found[np.argsort(-_all_votes(found, part, 3 * spacing, similar), kind="stable")[:150]]
-        poses = np.concatenate([poses, found])
-        votes = np.concatenate([votes, _all_votes(found, matches, 3 * spacing, similar)])
-        order = np.argsort(-votes, kind="stable")
-        poses, votes = poses[order], votes[order]
-        _, best = distinct_poses(poses, votes, centre, 0.15 * extent, np.radians(20), 2)
-        if len(best) and best[0] > max(0.1 * len(chosen), 1.5 * best[1:].sum()):
+    for queries, batch, batches in ROUNDS:
+        chosen = _distinctive(source.features, queries, rng)
+        poses, shares, clear = _sampled(source, target, chosen, rng, batch, batches, similar, centre, extent)
+        if clear:
             break
     if len(poses) == 0:
         raise DegenerateError(
             "no two points of one scan fit any two of the other: a flat or round part without features, or two parts?"
         )
-    return distinct_poses(poses, votes, centre, 0.03 * extent, np.radians(8), kept)
+    return distinct_poses(poses, shares, centre, 0.03 * extent, np.radians(8), kept)
 
 
 def distinct_poses(
@@ -78,24 +59,43 @@ def distinct_poses(
 ) -> tuple[Floats, Floats]:
     """The first ``kept`` of sorted poses, less those within ``apart_mm`` (at a centre) and ``apart_rad`` of another."""
     spots = poses[:, :3, :3] @ centre_mm + poses[:, :3, 3]
-    chosen: list[int] = []
-    for at in range(len(poses)):
-        if chosen:
-            near = np.linalg.norm(spots[chosen] - spots[at], axis=1) < apart_mm
-            cosine = (np.einsum("nij,ij->n", poses[chosen][:, :3, :3], poses[at, :3, :3]) - 1) / 2
-            if (near & (cosine > np.cos(apart_rad))).any():
-                continue
-        chosen.append(at)
-        if len(chosen) == kept:
-            break
+    chosen = _distinct(poses, spots, float(apart_mm), float(np.cos(apart_rad)), kept)
     return poses[chosen], scores[chosen]
+
+
+def _sampled(
+    source: Keypoints, target: Keypoints, chosen: NDArray[np.int64], rng: np.random.Generator,
+    batch: int, batches: int, similar: int, centre: Floats, extent: float,
+) -> tuple[Floats, Floats, bool]:  # fmt: skip
+    """Poses (K, 4, 4) of samples of the ``chosen`` keypoints, best first, the share (K,) of these keypoints that agrees
+    with each, and whether the best is far ahead."""
+    t = most_similar(source.features[chosen], target.features, similar).ravel()
+    s = np.repeat(chosen, similar)
+    matches = (source.points[s], source.normals[s], target.points[t], target.normals[t])
+    part = tuple(column[: len(chosen) // 4 * similar] for column in matches)
+    spacing = max(source.spacing_mm, target.spacing_mm)
+    poses, shares = np.empty((0, 4, 4)), np.empty(0)
+    for _ in range(batches):
+        first, second = _agreeing_pairs(
+            *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
+        )
+        found = _poses_of_pairs(*matches, first[:2000], second[:2000])
+        found = found[np.argsort(-_all_votes(found, part, 3 * spacing, similar), kind="stable")[:150]]
+        poses = np.concatenate([poses, found])
+        shares = np.concatenate([shares, _all_votes(found, matches, 3 * spacing, similar) / len(chosen)])
+        order = np.argsort(-shares, kind="stable")
+        poses, shares = poses[order], shares[order]
+        _, best = distinct_poses(poses, shares, centre, 0.15 * extent, np.radians(20), 2)
+        if len(best) and best[0] > max(0.1, 1.5 * best[1:].sum()):
+            return poses, shares, True
+    return poses, shares, False
 
 
 def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Up to ``count`` indices, those with unusual histograms preferred: a flat neighbourhood tells nothing."""
     if len(features) <= count:
         return rng.permutation(len(features))
-    unusual = np.linalg.norm(features - np.median(features, axis=0), axis=1)
+    unusual = np.linalg.norm(features - features.mean(axis=0), axis=1)
     weights = unusual + 0.1 * unusual.mean() + 1e-12
     return rng.choice(len(features), count, replace=False, p=weights / weights.sum())
 
@@ -103,6 +103,26 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
 def _all_votes(poses: Floats, matches: tuple[Floats, ...], apart: float, similar: int) -> NDArray[np.int64]:
     """``_votes`` of many poses, in two threads."""
     return np.concatenate(side_by_side(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2)))
+
+
+@njit(cache=True, nogil=True)
+def _distinct(poses, spots, apart, cosine, kept):
+    """Indices of the first ``kept`` poses (K, 4, 4) that are near no other; they move a centre to ``spots`` (K, 3)."""
+    chosen = np.empty(kept, dtype=np.int64)
+    count = 0
+    for at in range(len(poses)):
+        alike = False
+        for other in chosen[:count]:
+            away, trace = 0.0, 0.0
+            for a in range(3):
+                away += (spots[at, a] - spots[other, a]) ** 2
+                for b in range(3):
+                    trace += poses[at, a, b] * poses[other, a, b]
+            alike = alike or (away < apart * apart and (trace - 1) / 2 > cosine)
+        if not alike and count < kept:
+            chosen[count] = at
+            count += 1
+    return chosen[:count]
 
 
 @njit(cache=True, nogil=True)
