@@ -42,9 +42,10 @@ def propose_poses(
         )
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
     centre = source.points.mean(axis=0)
-    for queries, batch, batches in ROUNDS:
-        chosen = _distinctive(source.features, queries, rng)
-        poses, shares, clear = _sampled(source, target, chosen, rng, batch, batches, similar, centre, extent)
+    # each round draws from a stream of its own: the caller's draws do not depend on how many rounds it took
+    for (queries, batch, batches), draws in zip(ROUNDS, rng.spawn(len(ROUNDS)), strict=True):
+        chosen = _distinctive(source.features, queries, draws)
+        poses, shares, clear = _sampled(source, target, chosen, draws, batch, batches, similar, centre, extent)
         if clear:
             break
     if len(poses) == 0:
