@@ -215,22 +215,6 @@ def test_distinct_poses_are_those_of_the_plain_search(rng):
         np.testing.assert_array_equal(found, poses[expected[:kept]])
 
 
-def test_all_poses_of_a_symmetric_part_are_proposed():
-    """A square pocket fits after every fourth of a turn: few keypoints decide nothing, the many find all four."""
-    surface, _ = FREE["square pocket"]
-    views = view(0.3, (1.0, 0.4, 0.2)), view(-0.2, (0.3, 1.0, 0.5))
-    clouds = [
-        scan(surface, seen, 25_000, np.random.default_rng(at), mask=lambda x, y: np.hypot(x, y) < 62)
-        for at, seen in enumerate(views)
-    ]
-    good, seen = prepare_pair(*clouds)
-    poses, shares = propose_poses(seen.keypoints, good.keypoints, np.random.default_rng(3))
-    to_part = views[0] @ inverse(views[1])
-    turned = np.array([angle_between(pose, to_part) for pose in poses[shares > 0.6 * shares[0]]])
-    for quarters in range(3):
-        assert np.abs(turned - quarters * np.pi / 2).min() < 0.15
-
-
 @pytest.mark.parametrize("bend_mm", [0.0, 0.05])
 def test_the_pose_errs_as_its_covariance_says(close, bend_mm):
     """Errors divided by their stated standard deviations, all six directions, over ten pairs; once with noise

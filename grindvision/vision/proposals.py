@@ -19,8 +19,9 @@ Floats = NDArray[np.float64]
 COS_AGREE = float(np.cos(np.radians(15)))
 """Cosine of the angle up to which two angles of a pair of correspondences agree."""
 
-ROUNDS = ((300, 4_000, 1), (1_200, 40_000, 5))
-"""Keypoints asked for similar ones, samples in a batch, most batches: few first, many where those leave a doubt."""
+ROUNDS = ((300, 4_000, 1, 0.45), (1_200, 40_000, 5, 0.1))
+"""Keypoints asked for similar ones, samples in a batch, most batches, share of agreeing keypoints that ends it: few
+first, which decide where much agrees; many where those leave a doubt."""
 
 
 def propose_poses(
@@ -42,10 +43,10 @@ def propose_poses(
         )
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
     centre = source.points.mean(axis=0)
-    # each round draws from a stream of its own: the caller's draws do not depend on how many rounds it took
-    for (queries, batch, batches), draws in zip(ROUNDS, rng.spawn(len(ROUNDS)), strict=True):
+    # the short round draws from a stream of its own: where it decides nothing, all goes on as if it had not been
+    for (queries, batch, batches, enough), draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
         chosen = _distinctive(source.features, queries, draws)
-        poses, shares, clear = _sampled(source, target, chosen, draws, batch, batches, similar, centre, extent)
+        poses, shares, clear = _sampled(source, target, chosen, draws, batch, batches, enough, similar, centre, extent)
         if clear:
             break
     if len(poses) == 0:
@@ -66,7 +67,7 @@ def distinct_poses(
 
 def _sampled(
     source: Keypoints, target: Keypoints, chosen: NDArray[np.int64], rng: np.random.Generator,
-    batch: int, batches: int, similar: int, centre: Floats, extent: float,
+    batch: int, batches: int, enough: float, similar: int, centre: Floats, extent: float,
 ) -> tuple[Floats, Floats, bool]:  # fmt: skip
     """Poses (K, 4, 4) of samples of the ``chosen`` keypoints, best first, the share (K,) of these keypoints that agrees
     with each, and whether the best is far ahead."""
@@ -87,7 +88,7 @@ def _sampled(
         order = np.argsort(-shares, kind="stable")
         poses, shares = poses[order], shares[order]
         _, best = distinct_poses(poses, shares, centre, 0.15 * extent, np.radians(20), 2)
-        if len(best) and best[0] > max(0.1, 1.5 * best[1:].sum()):
+        if len(best) and best[0] > max(enough, 1.5 * best[1:].sum()):
             return poses, shares, True
     return poses, shares, False
 
@@ -96,7 +97,7 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
     """Up to ``count`` indices, those with unusual histograms preferred: a flat neighbourhood tells nothing."""
     if len(features) <= count:
         return rng.permutation(len(features))
-    unusual = np.linalg.norm(features - features.mean(axis=0), axis=1)
+    unusual = np.linalg.norm(features - np.median(features, axis=0), axis=1)
     weights = unusual + 0.1 * unusual.mean() + 1e-12
     return rng.choice(len(features), count, replace=False, p=weights / weights.sum())
 
