@@ -12,15 +12,20 @@ from shutil import which
 
 import pandas as pd
 
-from benchmarks import inputs, machine, races, report
+from benchmarks import inputs, machine, races, report, scenes
 from benchmarks.floors import floors
 from benchmarks.goals import goals
 from benchmarks.peers.programs import build_pcl
 from benchmarks.races import Plan, Race
-from benchmarks.racing import Racer, race
+from benchmarks.racing import Measurement, Racer, judge_more, race
 from grindvision.book.places import FIGURES
 from grindvision.errors import GrindvisionError
 from grindvision.files import writable_folder
+
+JUDGED = (
+    "judged: runs whose answers count for failures and errors; beyond the timed rounds, each of these was run once on"
+    " another scene. Programs of their own were not: pairs on equal scenes are in bench_scenes."
+)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -65,14 +70,18 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
         found = []
         for rounds in one.cases(plan):
             found += race(there, rounds, one.judge, one.spare)
+        further = one.more(plan)
+        for cases in further:
+            found += judge_more([racer for racer in there if racer.warm_up], cases, one.judge, plan.rounds + 1)
         if one.stage:
             found = [measured.without_reading() for measured in found]
         table = report.table_of(found, one.accuracy, one.lap)
-        notes = [f"{racer.name}: {racer.about}." for racer in there] + absent
+        notes = [f"{racer.name}: {racer.about}." for racer in there] + absent + [JUDGED] * bool(further)
         fig = report.race_picture(one.title, table, one.drawn) if one.drawn else None
         report.write_results(folder, one.name, one.title, table, notes, facts, fig)
         if one.name == races.DETECT.name:
             write_growth(folder, table, facts)
+            write_scenes(folder, found, plan, facts)
             write_floors(folder, plan, facts)
     reached = goals(folder)
     if len(reached):
@@ -86,6 +95,15 @@ def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> No
         fig, slopes = report.growth_picture(title, table)
         notes = ["slope: of the straight line through log(time) over log(points)."]
         report.write_results(folder, "growth", title, slopes, notes, facts, fig)
+
+
+def write_scenes(folder: Path, found: list[Measurement], plan: Plan, facts: dict[str, str]) -> None:
+    """Errors over all scenes, pair by pair, of the sizes that were judged on all of them."""
+    judged = [one for one in found if one.case.label in plan.stage_sizes and one.racer.warm_up]
+    table = scenes.paired(judged)
+    if len(table):
+        title = f"Whole detection: errors over {plan.scenes} scenes"
+        report.write_results(folder, "scenes", title, table, list(scenes.NOTES), facts)
 
 
 def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:

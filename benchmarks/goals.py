@@ -39,7 +39,7 @@ def _detection(table: pd.DataFrame) -> list[tuple[str, str, float, float]]:
         if not {"grindvision", *PYTHON_PEERS[:1]} <= set(own.index):
             continue
         ours, peers = own.loc["grindvision"], own[own["kind"] == "peer"]
-        fastest = peers.loc[peers["median_s"].where(peers["failures"] < 0.5 * peers["rounds"]).idxmin()]
+        fastest = peers.loc[peers["median_s"].where(peers["failures"] < 0.5 * peers["judged"]).idxmin()]
         leanest = own.loc[[name for name in PYTHON_PEERS if name in own.index]]
         rows.append((f"whole detection, {size}: time over the fastest peer's", "at most", 0.5, ours["of_fastest_peer"]))
         for error in ("rotation_deg", "shift_mm", "path_mean_mm"):

@@ -53,7 +53,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One run of one racer on one case; ``accuracy`` as the race's judge finds it."""
+    """One run of one racer on one case; ``accuracy`` as the race's judge finds it.
+
+    ``timed``: raced in turn against all others; else only the answer counts.
+    """
 
     racer: Racer
     case: Case
@@ -65,6 +68,7 @@ class Measurement:
     laps_s: dict[str, float]
     error: str
     accuracy: dict[str, float]
+    timed: bool = True
 
     @property
     def failed(self) -> bool:
@@ -152,6 +156,12 @@ def race(racers: Sequence[Racer], rounds: Sequence[Case], judge: Judge, spare: b
 
 
 _compiled: set[str] = set()
+
+
+def judge_more(racers: Sequence[Racer], cases: Sequence[Case], judge: Judge, first: int) -> list[Measurement]:
+    """One untimed run of each racer on further cases, whose rounds are numbered from ``first`` on."""
+    found = race(racers, cases, judge, spare=False) if cases else []
+    return [replace(one, round=one.round + first - 1, timed=False) for one in found]
 
 
 def _measure(worker: Worker, case: Case, number: int, judge: Judge, answer: Path) -> Measurement:

@@ -46,12 +46,14 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: 
 
     ``median_s``, ``min_s``, ``max_s`` are wall times over ``rounds``; ``cpu_s`` the median over all threads;
     ``of_fastest_peer`` the median over that of the fastest peer that did not fail; ``peak_mib`` the process after its
-    first run, ``growth_mib`` of it since the imports. Accuracy: the median over the rounds; of a ``max`` the largest.
+    first run, ``growth_mib`` of it since the imports. ``failures`` and accuracy are of all ``judged`` runs, timed or
+    not: the median; of a ``max`` the largest.
     Where a ``lap`` is named, ``<lap>_s`` is the median of this stage alone, with its own ratio.
     """
     rows = []
-    for (label, _), own in _grouped(measurements).items():
-        good = [one.accuracy for one in own if not one.error]
+    for (label, _), judged in _grouped(measurements).items():
+        good = [one.accuracy for one in judged if not one.error]
+        own = [one for one in judged if one.timed]
         seconds = [one.wall_s for one in own]
         rows.append(
             {
@@ -68,7 +70,8 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: 
                 **({f"{lap}_s": _median_lap(own, lap), f"{lap}_of_fastest_peer": np.nan} if lap else {}),
                 "peak_mib": own[0].peak_mib,
                 "growth_mib": own[0].growth_mib,
-                "failures": sum(one.failed for one in own),
+                "judged": len(judged),
+                "failures": sum(one.failed for one in judged),
                 **{name: _summary(name, [one[name] for one in good]) for name in accuracy},
                 "stages_s": _stages(own),
             }
@@ -76,7 +79,7 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: 
     table = pd.DataFrame(rows)
     for _, own in table.groupby("case"):
         peers = own[own["kind"] == "peer"]
-        right = peers[peers["failures"] < 0.5 * peers["rounds"]]
+        right = peers[peers["failures"] < 0.5 * peers["judged"]]
         if len(peers):
             best = right if len(right) else peers
             for seconds, ratio in {"median_s": "of_fastest_peer", f"{lap}_s": f"{lap}_of_fastest_peer"}.items():
@@ -151,7 +154,7 @@ def growth_picture(title: str, table: pd.DataFrame) -> tuple[Figure, pd.DataFram
     with plt.style.context(STYLE):
         fig, axes = plt.subplots(figsize=(7.0, 5.0))
     for marker, (name, own) in zip("osD^vP", table.groupby("racer", sort=False), strict=False):
-        own = own[own["failures"] < own["rounds"]].sort_values("points")
+        own = own[own["failures"] < own["judged"]].sort_values("points")
         if len(own) < 2:
             continue
         points, seconds = own["points"].to_numpy(float), own["median_s"].to_numpy(float)
@@ -213,8 +216,8 @@ def _dots(axes: Axes, table: pd.DataFrame, places: np.ndarray, column: str) -> N
     axes.scatter(values, places, c=colours, s=30, zorder=3)
     _set_limits(axes, shown[np.isfinite(shown)], room=3.0 if timed else 1.5)
     if timed:
-        for value, place, failures, rounds in zip(values, places, table["failures"], table["rounds"], strict=True):
-            text = f"{value:.3g} s" + (f", {failures} of {rounds} fail" if failures else "")
+        for value, place, failures, judged in zip(values, places, table["failures"], table["judged"], strict=True):
+            text = f"{value:.3g} s" + (f", {failures} of {judged} fail" if failures else "")
             axes.annotate(text, (value, place), (6, 4), textcoords="offset points", fontsize=7)
     axes.set_xlabel(LABELS.get(column, column))
 

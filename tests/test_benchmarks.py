@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from benchmarks import __main__ as bench
-from benchmarks import goals, inputs, judging, races, racing, report
+from benchmarks import goals, inputs, judging, races, racing, report, scenes
 from benchmarks.racing import Case, Measurement, Racer
+from grindvision.clouds import write_ply
 
 pytestmark = pytest.mark.xdist_group("races")  # one cache of scans
 
@@ -21,7 +22,7 @@ STAGES = {
     one.name: one for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.VOXEL, races.FPFH)
 }
 PROMISED = ["case", "points", "racer", "kind", "rounds", "median_s", "min_s", "max_s", "cpu_s", "of_fastest_peer"]
-MEMORY = ["peak_mib", "growth_mib", "failures"]
+MEMORY = ["peak_mib", "growth_mib", "judged", "failures"]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -64,11 +65,14 @@ def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache, monk
     monkeypatch.setattr(bench, "build_pcl", lambda: "PCL is left out of this test")
     race = replace(races.DETECT, racers=races.DETECT.racers[:2])
     absent = Racer("nobody", "open3d_peer:detect", needs="no_such_module")
-    bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2), tmp_path)
+    bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2, scenes=4), tmp_path)
     table = pd.read_csv(tmp_path / "bench_detect.csv")
     assert list(table.columns) == [*PROMISED, *MEMORY, *races.DETECT.accuracy, "stages_s"]
     assert table["racer"].tolist() == ["grindvision", "Open3D"]
-    assert (table["rounds"] == 2).all() and (table["failures"] == 0).all()
+    assert (table["rounds"] == 2).all() and (table["judged"] == 4).all() and (table["failures"] == 0).all()
+    pairs = pd.read_csv(tmp_path / "bench_scenes.csv")
+    assert pairs["error"].tolist() == list(scenes.ERRORS) and (pairs["scenes"] + pairs["failed"] == 4).all()
+    assert pairs["ours_median"].tolist() == pytest.approx(table.loc[0, list(scenes.ERRORS)].tolist(), rel=1e-4)
     assert (table["growth_mib"] < table["peak_mib"]).all() and (table["growth_mib"] > 0).all()
     assert (table["min_s"] <= table["median_s"]).all() and (table["median_s"] <= table["max_s"]).all()
     ours, peer = table["median_s"]
@@ -135,6 +139,40 @@ def test_a_fast_wrong_answer_does_not_set_the_pace():
     assert found[1].without_reading().wall_s == pytest.approx(3.9)
 
 
+def test_untimed_runs_count_for_errors_and_not_for_times():
+    timed = [measurement("ours", 1.0, "ours", number, path_mean_mm=0.1) for number in (1, 2)]
+    further = [
+        replace(measurement("ours", 9.0, "ours", n, path_mean_mm=0.3, failed=1.0), timed=False) for n in (3, 4, 5)
+    ]
+    row = report.table_of(timed + further, ("path_mean_mm",)).iloc[0]
+    assert row["median_s"] == 1.0 and row["rounds"] == 2
+    assert row["judged"] == 5 and row["failures"] == 3 and row["path_mean_mm"] == 0.3
+
+
+def test_errors_are_compared_scene_by_scene(rng):
+    """Scenes differ by far more than two racers do: only pairs show who is better."""
+    other = rng.uniform(0.01, 1.0, 20)
+    found = scenes.compared(0.9 * other, other)
+    assert found["median_ratio"] == pytest.approx(0.9) and found["mean_ratio"] == pytest.approx(0.9)
+    assert found["ours_less_percent"] == 100 and found["ours_less_95"] == "[100, 100]"
+    low, high = map(float, found["mean_ratio_95"].strip("[]").split(","))
+    assert low == pytest.approx(0.9) and high == pytest.approx(0.9)
+    order = rng.permutation(20)
+    again = scenes.compared(0.9 * other[order], other[order])
+    assert again["ours_mean"] == pytest.approx(found["ours_mean"])
+
+
+def test_the_least_error_is_how_deep_the_scan_is_wrong(tmp_path, rng):
+    """A ridge of parabolic section, seen from above and scanned too deep by 0.07 mm, at any density."""
+    ridge = np.column_stack([np.linspace(0, 30, 121), np.zeros(121), np.full(121, 400.0)])
+    x, y = rng.uniform(0, 30, 3000), rng.uniform(-2, 2, 3000)
+    points = np.column_stack([x, y, 400.0 + 0.4 * y**2])
+    write_ply(tmp_path / "test.ply", points * (1 + 0.07 / points[:, 2:]))
+    known = {"ridge": ridge, "on_bead_one": np.ones(3000, dtype=bool)}
+    case = Case("one", 3000, {"test": str(tmp_path / "test.ply")}, lambda: known)
+    assert scenes.least_error_mm(case) == pytest.approx(0.07, abs=0.002)
+
+
 def test_an_error_of_a_racer_is_a_failure_with_its_reason(cache):
     case = inputs.voxel_cases("50k", 1, 10)[0]
     racer = Racer("broken", "ours_grinding:voxels", settings={"size_mm": -1.0})
@@ -171,7 +209,7 @@ def test_pose_errors_are_those_of_the_truth_turned_and_shifted():
 
 def test_growth_of_a_square_law_has_slope_two(tmp_path):
     rows = [
-        {"racer": "r", "kind": "peer", "points": n, "median_s": n**2, "failures": 0, "rounds": 1} for n in (10, 100)
+        {"racer": "r", "kind": "peer", "points": n, "median_s": n**2, "failures": 0, "judged": 1} for n in (10, 100)
     ]
     _, slopes = report.growth_picture("title", pd.DataFrame(rows))
     assert slopes["slope"].tolist() == pytest.approx([2.0])
