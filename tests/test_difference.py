@@ -208,6 +208,25 @@ def test_a_flank_in_shadow_does_not_move_the_ridge(rng):
         assert path.points[:, 2] == pytest.approx(1.5, abs=0.03)
 
 
+@pytest.mark.parametrize("radius_mm", [40.0, 120.0])
+def test_a_curved_bead_is_followed_to_its_ends(radius_mm):
+    """The outermost path points lie neither inside nor outside of the arc, in the mean over noise."""
+    off = []
+    for seed in range(8):
+        draw = np.random.default_rng(seed)
+        s, b = draw.uniform(0, 30, 6000), draw.uniform(-2, 2, 6000)
+        to_end = np.clip(np.minimum(s, 30 - s) / 2, 0, 1)
+        swell = np.sqrt(1 - (1 - to_end) ** 2)
+        h = 1.5 * (swell - (b / 2) ** 2 / np.maximum(swell, 0.1))
+        kept, angle = h > 0.1, s / radius_mm
+        places = np.column_stack([(radius_mm + b) * np.cos(angle), (radius_mm + b) * np.sin(angle), h])[kept]
+        noisy = h[kept] + draw.normal(scale=0.02, size=kept.sum())
+        path = trace_bead(Cluster(places, noisy, np.tile([0.0, 0, 1], (len(noisy), 1)), 0.9, 115.0, 115.0, 1.5))
+        off.append(np.linalg.norm(path.points[:, :2], axis=1) - radius_mm)
+    assert np.abs(np.mean(off, axis=0)).max() < 0.02
+    assert np.abs(off).mean() < 0.02
+
+
 @pytest.mark.parametrize(
     ("section", "highest", "most_mm"),
     [

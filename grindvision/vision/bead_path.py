@@ -110,8 +110,8 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     offsets = feet - stations.at(near)
     sides = np.cross(cluster.normals, stations.tangents(near))
     b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
-    step = stations.length_mm / max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
-    arcs = np.arange(0.0 if stations.closed else 0.5 * step, stations.length_mm - 1e-9, step)
+    count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
+    arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
     windows = [(arc, used) for arc in arcs if (used := _window(s_all, b_all, arc, stations, width)).sum() >= 12]
     if len(windows) < 2:
         raise DegenerateError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
