@@ -8,8 +8,11 @@ import pytest
 from grinding_scene import arc_bead, pair, plate_height, scan, view
 
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
+from grindvision.geometry import move_points, random_rotation, rigid
 from grindvision.vision import verification
 from grindvision.vision.detection import DetectOptions, detect
+from grindvision.vision.doubts import plane_share
+from grindvision.vision.surfels import build_surfels
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +121,52 @@ def test_real_scans_of_one_part_raise_no_doubt(real_data):
 
     scans = [read_cloud(real_data(name), "m").points for name in ("bun000.ply", "bun045.ply")]
     assert detect(*scans).beads == () == detect(*scans[::-1]).beads
+
+
+def on_a_table(half_mm, n_points=60_000, turn_rad=0.0):
+    """Scans of the part without and with its bead, lying on a plane 25 mm below; turned on it in between."""
+
+    def surface(angle, beads):
+        def height(x, y):
+            u, v = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+            inside = (np.abs(u) < 100) & (np.abs(v) < 70)
+            u, v = np.clip(u, -100, 100), np.clip(v, -70, 70)
+            return np.where(inside, plate_height(u, v) + sum(bead.height(u, v) for bead in beads), -25.0)
+
+        return height
+
+    rng, window = np.random.default_rng(3), (-half_mm[0], half_mm[0], -half_mm[1], half_mm[1])
+    sample = scan(surface(0.0, ()), view(0.15, (1.0, 0.3, 0.0)), n_points, rng, window=window)
+    return sample, scan(surface(turn_rad, [arc_bead()]), view(0.3, (0.2, -0.5, 0.4)), n_points, rng, window=window)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.5])
+@pytest.mark.parametrize("half_mm", [(300, 220), (450, 330)])
+def test_a_large_table_is_said_whatever_comes_of_it(half_mm, turn_rad):
+    sample, test = on_a_table(half_mm, turn_rad=turn_rad)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            detect(sample, test)
+            sentences = " ".join(str(one.message) for one in said)
+        except DegenerateError as refusal:
+            sentences = str(refusal)
+    share = float(re.search(r"one plane takes up (\d+)% .* crop it away", sentences).group(1)) / 100
+    assert share == pytest.approx(1 - 200 * 140 / (4 * half_mm[0] * half_mm[1]), abs=0.04)
+
+
+def test_no_table_is_seen_on_the_part_itself(case):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        detect(case.sample, case.test)
+        detect(*on_a_table((130, 100)))
+
+
+def test_the_share_of_a_plane_does_not_depend_on_frame_or_order(rng):
+    points, _ = on_a_table((300, 220))
+    shares = []
+    for _ in range(5):
+        T_other_scanner = rigid(random_rotation(rng), rng.uniform(-300, 300, 3))
+        moved = move_points(T_other_scanner, rng.permutation(points))
+        shares.append(plane_share(build_surfels(moved, 10.0)))
+    assert np.ptp(shares) < 0.04

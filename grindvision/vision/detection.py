@@ -15,11 +15,12 @@ from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
 from grindvision.vision.difference import Difference, find_difference
-from grindvision.vision.doubts import check_same_unit, doubts, mirrored_refusal
+from grindvision.vision.doubts import check_same_unit, doubts, mirrored_refusal, table_doubt
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.plane_icp import icp_planes
 from grindvision.vision.proposals import propose_poses
-from grindvision.vision.scan import Scan, prepare_pair, reversed_scan
+from grindvision.vision.scan import Scan, choose_resolution, prepare_pair, reversed_scan
+from grindvision.vision.surfels import build_surfels
 from grindvision.vision.verification import VerifiedPose, choose_pose
 
 Floats = NDArray[np.float64]
@@ -121,6 +122,9 @@ def detect(
     except AmbiguousError:  # the scans fit as they are: what leaves a motion free mostly fits its mirror image too
         raise
     except DegenerateError as refusal:
+        coarse_surfels = (build_surfels(points, choose_resolution(points).voxel_mm) for points in (sample, test))
+        if table := table_doubt(*coarse_surfels):
+            raise DegenerateError(f"{refusal}; and {table}") from None
         raise mirrored_refusal(test, options.viewpoint_test_mm, register, refusal) from None
     clock.lap("verification")
     registration = refine(good, seen, coarse, rng)

@@ -16,6 +16,7 @@ from grindvision.vision.difference import Difference, find_difference
 from grindvision.vision.heights import heights_above
 from grindvision.vision.icp import FineRegistration
 from grindvision.vision.scan import Scan
+from grindvision.vision.surfels import Surfels
 from grindvision.vision.verification import VerifiedPose
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,12 @@ LEAST_SCALE_SHARE = 0.02
 #: Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow.
 SURE = 0.5
 
+#: Where a plane takes up more of both scans than this, the rest has a fifth of the cells: too few for a narrow bead.
+MOST_PLANE = 0.8
+
+#: Of the plane's patches the directions agree within this angle; planes are tried through so many patches.
+PLANE_COSINE, PLANES_TRIED = np.cos(np.radians(15)), 100
+
 #: Scans whose extents differ by more than this factor do not show the same part in the same unit.
 MOST_TIMES_LARGER = 5.0
 
@@ -49,6 +56,35 @@ def check_same_unit(sample: Floats, test: Floats) -> None:
             f"the sample is {sizes[0]:.4g} mm across, the test {sizes[1]:.4g} mm: one of the files has another unit, or"
             " shows more than the part; export both in one unit, cropped to the part"
         )
+
+
+def table_doubt(sample: Surfels, test: Surfels) -> str:
+    """In words, that the scans show a table more than the part; empty where they do not. Coarse surfels of each."""
+    shares = [plane_share(surfels) for surfels in (sample, test)]
+    if min(shares) < MOST_PLANE:
+        return ""
+    return (
+        f"one plane takes up {shares[0]:.0%} of the sample and {shares[1]:.0%} of the test scan; if it is a table, crop"
+        " it away in both: what is left for the part is too coarse to show every bead, and the pose follows the table"
+    )
+
+
+def plane_share(surfels: Surfels) -> float:
+    """Share of the surface that lies in one plane, to a tenth of the cell size and roughness."""
+    points, normals = surfels.points, surfels.normals
+    within = 0.1 * surfels.grid.size_mm + 3 * float(np.median(surfels.noise_mm))
+
+    def in_plane(place: Floats, up: Floats) -> NDArray[np.bool_]:
+        return (np.abs((points - place) @ up) < within) & (np.abs(normals @ up) > PLANE_COSINE)
+
+    tried = np.random.default_rng(0).permutation(len(points))[:PLANES_TRIED]
+    best = max((in_plane(points[at], normals[at]) for at in tried), key=np.count_nonzero)
+    for _ in range(3):  # a patch's own direction is too poor far away from it
+        if best.sum() < 3:
+            break
+        place = points[best].mean(axis=0)
+        best = in_plane(place, np.linalg.svd(points[best] - place, full_matrices=False)[2][2])
+    return float(best.mean())
 
 
 def mirrored_refusal(
@@ -78,7 +114,7 @@ def mirrored_refusal(
 
 def doubts(sample: Scan, test: Scan, registration: FineRegistration, difference: Difference) -> tuple[str, ...]:
     """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_sample_test."""
-    found = []
+    found = [table] if (table := table_doubt(sample.voxels, test.voxels)) else []
     if registration.overlap < LEAST_OVERLAP:
         found.append(
             f"only {registration.overlap:.0%} of the test scan lies on the sample: the rest was compared with nothing,"
