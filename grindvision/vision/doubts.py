@@ -35,7 +35,8 @@ LEAST_SCALE_SHARE = 0.02
 SURE = 0.5
 
 #: Where a plane takes up more of both scans than this, the rest has a fifth of the cells: too few for a narrow bead.
-MOST_PLANE = 0.8
+#: Above the second share there is no part beside it.
+MOST_PLANE, ONLY_PLANE = 0.8, 0.99
 
 #: Of the plane's patches the directions agree within this angle; planes are tried through so many patches.
 PLANE_COSINE, PLANES_TRIED = np.cos(np.radians(15)), 100
@@ -61,7 +62,7 @@ def check_same_unit(sample: Floats, test: Floats) -> None:
 def table_doubt(sample: Surfels, test: Surfels) -> str:
     """In words, that the scans show a table more than the part; empty where they do not. Coarse surfels of each."""
     shares = [plane_share(surfels) for surfels in (sample, test)]
-    if min(shares) < MOST_PLANE:
+    if min(shares) < MOST_PLANE or max(shares) > ONLY_PLANE:
         return ""
     return (
         f"one plane takes up {shares[0]:.0%} of the sample and {shares[1]:.0%} of the test scan; if it is a table, crop"
