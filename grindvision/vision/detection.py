@@ -119,12 +119,12 @@ def detect(
 
     try:
         good, seen, coarse = register(test, options.viewpoint_test_mm)
-    except AmbiguousError:  # the scans fit as they are: what leaves a motion free mostly fits its mirror image too
-        raise
     except DegenerateError as refusal:
         coarse_surfels = (build_surfels(points, choose_resolution(points).voxel_mm) for points in (sample, test))
         if table := table_doubt(*coarse_surfels):
-            raise DegenerateError(f"{refusal}; and {table}") from None
+            raise type(refusal)(f"{refusal}; and {table}") from None
+        if isinstance(refusal, AmbiguousError):  # what leaves a motion free mostly fits its mirror image too
+            raise
         raise mirrored_refusal(test, options.viewpoint_test_mm, register, refusal) from None
     clock.lap("verification")
     registration = refine(good, seen, coarse, rng)
