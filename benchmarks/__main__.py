@@ -14,7 +14,7 @@ import pandas as pd
 
 from benchmarks import inputs, machine, races, report, scenes
 from benchmarks.floors import floors
-from benchmarks.goals import goals
+from benchmarks.goals import NOTES, goals
 from benchmarks.peers.programs import build_pcl
 from benchmarks.races import Plan, Race
 from benchmarks.racing import Measurement, Racer, judge_more, race
@@ -85,7 +85,7 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
             write_floors(folder, plan, facts)
     reached = goals(folder)
     if len(reached):
-        report.write_results(folder, "goals", "What was asked of the races", reached, [], facts)
+        report.write_results(folder, "goals", "What was asked of the races", reached, list(NOTES), facts)
 
 
 def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from benchmarks import inputs, judging
+from benchmarks.entries import open3d, ours, pcl, process, small_gicp
 from benchmarks.racing import Case, Judge, Racer
 from grindvision.cell import KINDS
 
@@ -66,27 +67,6 @@ class Race:
 
 PATH = "largest cluster that stands out by 0.5 mm, six slabs, mean of each slab's highest quarter"
 NEAREST = "points farther than 0.5 mm from their nearest neighbour"
-
-
-def ours(name: str, task: str, about: str, kind: str = "ours", **settings: object) -> Racer:
-    """One of our own racers."""
-    room = {"groove": "welding", "calibrate": "calibration"}.get(task, "grinding")
-    return Racer(name, f"ours_{room}:{task}", kind, settings, about)
-
-
-def open3d(name: str, task: str, about: str, **settings: object) -> Racer:
-    """A racer of Open3D."""
-    return Racer(name, f"open3d_peer:{task}", "peer", settings, about, "open3d")
-
-
-def small_gicp(name: str, task: str, about: str, **settings: object) -> Racer:
-    """A racer of small_gicp."""
-    return Racer(name, f"small_gicp_peer:{task}", "peer", settings, about, "small_gicp")
-
-
-def pcl(name: str, task: str, about: str, **settings: object) -> Racer:
-    """A racer of PCL, a program."""
-    return Racer(name, f"pcl_peer:{task}", "peer", settings, about, "PCL", warm_up=False)
 
 
 DETECT = Race(
@@ -251,13 +231,6 @@ FPFH = Race(
 )
 
 OPEN3D_SCRIPT = "from benchmarks.peers.open3d_peer import detect; detect({sample!r}, {test!r})"
-
-
-def process(name: str, kind: str, *words: str, needs: str = "", compiled: bool = True, about: str = "") -> Racer:
-    """A whole process."""
-    settings = {"words": list(words), "compiled": compiled}
-    about = about or "`" + " ".join(words).replace("{", "").replace("}", "") + "`"
-    return Racer(name, "startup:process", kind, settings, about, needs, warm_up=False)
 
 
 STARTUP = Race(

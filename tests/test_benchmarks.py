@@ -222,6 +222,9 @@ def test_goals_are_read_from_the_tables(tmp_path):
     ]
     pd.DataFrame(rows).to_csv(tmp_path / "bench_coarse.csv", index=False)
     assert goals.goals(tmp_path)["verdict"].tolist() == ["missed", "met"]
+    rows = [{"case": "2M", "peer": "Open3D", "error": "shift_mm", "scenes": 20, "mean_ratio": 0.5}]
+    pd.DataFrame(rows).to_csv(tmp_path / "bench_scenes.csv", index=False)
+    assert goals.goals(tmp_path)["verdict"].tolist() == ["met", "missed", "met"]
     assert len(goals.goals(tmp_path / "nothing")) == 0
 
 
