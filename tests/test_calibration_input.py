@@ -395,4 +395,4 @@ def test_a_first_line_of_numbers_is_told_from_names(folder, capsys):
         folder / "m.csv", index=False, header=False
     )
     assert command(folder) == 2
-    assert "the first line holds numbers, it must name the columns" in capsys.readouterr().err
+    assert "the first line holds numbers; write the columns' names above it" in capsys.readouterr().err

@@ -25,7 +25,6 @@ SAME_POSE_RAD = 2e-4
 
 JOINT = re.compile(r"q(\d+)_(?:rad|deg)")
 KNOWN = re.compile(rf"{JOINT.pattern}|[sb][xyz]_m?m|pose|sphere|split|" + "|".join(COVARIANCE_COLUMNS))
-NUMBER = re.compile(r"[-+.\deE]+")
 KNOWN_WORDS = "q1_rad or q1_deg ..., sx_mm .. sz_mm, bx_mm .. bz_mm (or _m), pose, sphere, split"
 
 
@@ -157,10 +156,7 @@ def read_measurements(
             raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
     numbered = len({match[1] for name in names if (match := JOINT.fullmatch(name))})
     if numbered == 0:
-        found = column_names(path)
-        if all(NUMBER.fullmatch(name) for name in found):
-            raise FileError(f"{path}: the first line holds numbers, it must name the columns: {KNOWN_WORDS}")
-        known = ", ".join(found[:16])
+        known = ", ".join(column_names(path)[:16])
         raise FileError(
             f"{path}: no columns of joint angles (q1_rad or q1_deg ...); found {known}; say which they are, as in"
             " --columns q1_deg=joint_1"
