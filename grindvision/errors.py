@@ -33,6 +33,10 @@ class AmbiguousError(DegenerateError):
     """Several answers fit the data alike; the message names the motion between them."""
 
 
+class TooSmallError(DegenerateError):
+    """A bead shows too few points to be followed."""
+
+
 class UnreachableError(GrindvisionError):
     """No joint angles reach the pose asked for."""
 

@@ -1,5 +1,6 @@
 """The difference cloud, its level of detection, and the paths along beads."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, 
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
-from grindvision.geometry import inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
 from grindvision.vision.bead_course import bead_course
 from grindvision.vision.bead_path import trace_bead
 from grindvision.vision.boxes import box_path, minimal_box
@@ -145,6 +146,25 @@ def test_a_smaller_piece_that_branches_is_left_out_with_a_warning():
     both = pair(seed=9, n_points=90_000, beads=[arc_bead(length_mm=45.0), Bead(np.vstack([stem, arm]), 3.0, 1.0)])
     with pytest.warns(GrindvisionWarning, match="piece 2 of the difference is left out"):
         assert len(detect(both.sample, both.test).beads) == 1
+
+
+def test_a_largest_piece_too_small_to_follow_leaves_pose_and_difference():
+    paths = []
+    for seed in (1, 2, 11):
+        spike = arc_bead(length_mm=1.0, width_mm=4.0, height_mm=6.0)
+        spiked = pair(seed=seed, beads=[spike])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", GrindvisionWarning)
+            found = detect(spiked.sample, spiked.test)
+        assert angle_between(found.T_sample_test, spiked.T_sample_test) < np.radians(0.05)
+        assert to_ridge(found.difference.points, spike.ridge(), spiked.T_test_part).max() < 8
+        paths.append(len(found.path_points))
+        if not found.beads:
+            (said,) = (str(warning.message) for warning in caught)
+            assert said.startswith("piece 1 of the difference is left out: ") and said.endswith("scan it denser")
+            assert "nothing to grind" not in str(found)
+            assert str(found).startswith("no path: 1 piece(s) stand out")
+    assert 0 in paths
 
 
 def test_heights_are_signed_distances_from_the_surface(rng):

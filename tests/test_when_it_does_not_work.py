@@ -162,6 +162,12 @@ def low_bead(folder):
     return two(folder, low.sample, low.test)
 
 
+@mistake("Too small to follow")
+def spatter(folder):
+    spiked = pair(seed=11, beads=[arc_bead(length_mm=1.0, width_mm=4.0, height_mm=6.0)])
+    return two(folder, spiked.sample, spiked.test)
+
+
 @mistake("Sample and test swapped")
 def swapped(folder):
     return two(folder, beaded().test, beaded().sample)

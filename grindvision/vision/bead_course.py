@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from grindvision.errors import DegenerateError
+from grindvision.errors import DegenerateError, TooSmallError
 from grindvision.geometry.cell_grid import build_cells
 from grindvision.geometry.neighbours import Neighbourhoods, within_radius
 from grindvision.vision.clusters import euclidean_clusters
@@ -25,13 +25,11 @@ def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
     """Rough ordered curve (M, 3) along the cluster, whether it is closed, and the bead's width in mm.
 
     Raises:
-        DegenerateError: too few points, or the bead branches.
+        TooSmallError: too few points. DegenerateError: the bead branches.
     """
     core = cluster.heights_mm > 0.35 * cluster.peak_mm
     if core.sum() < 12:
-        raise DegenerateError(
-            f"the bead has only {int(core.sum())} points; too few to follow its ridge, scan it denser"
-        )
+        raise TooSmallError(f"the bead has only {int(core.sum())} points; too few to follow its ridge, scan it denser")
     size = cluster.spacing_mm
     points = cluster.points[core]
     grid = build_cells(points, size)

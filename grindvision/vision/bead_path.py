@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.errors import DegenerateError, InputError
+from grindvision.errors import InputError, TooSmallError
 from grindvision.geometry.curves import Curve
 from grindvision.vision.bead_course import bead_course
 from grindvision.vision.difference import Cluster
@@ -75,7 +75,7 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     about its normal.
 
     Raises:
-        InputError: fewer than one point. DegenerateError: the bead branches, or is too small to follow.
+        InputError: fewer than one point. TooSmallError: too few points to follow. DegenerateError: the bead branches.
     """
     if points < 1:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
@@ -114,7 +114,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
     windows = [(arc, used) for arc in arcs if (used := _window(s_all, b_all, arc, stations, width)).sum() >= 12]
     if len(windows) < 2:
-        raise DegenerateError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
+        raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
     arcs = np.array([arc for arc, _ in windows])
     sections = [
         _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], width)

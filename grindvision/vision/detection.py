@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, TooSmallError
 from grindvision.geometry import check_points
 from grindvision.vision.bead_path import BeadPath, trace_bead
 from grindvision.vision.bending import refine_bent
@@ -76,7 +76,10 @@ class Detection:
         return np.concatenate([bead.normals for bead in self.beads] or [np.empty((0, 3))])
 
     def __str__(self) -> str:
-        if not self.beads:
+        pieces = len(self.difference.clusters)
+        if pieces and not self.beads:
+            return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}"
+        if not pieces:
             return f"nothing to grind above the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
         return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
 
@@ -96,10 +99,11 @@ def detect(
         InputError: NaN points, numbers that are no points, or a scan that fits as its mirror image only. UnitError: one
             scan is many times larger than the other.
         DegenerateError: too few points; the scans do not fit, do not overlap enough, or leave a motion free; another
-            part; a bead that branches.
+            part; a largest bead that branches.
 
     Warns:
-        GrindvisionWarning: something speaks against the result (``doubts``); a small piece that cannot be followed.
+        GrindvisionWarning: something speaks against the result (``doubts``); a piece that is too small to be followed,
+            or that branches and is not the largest.
     """
     options = DetectOptions() if options is None else options
     if options.points < 1:
@@ -171,13 +175,13 @@ def refine(
 
 
 def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:
-    """Paths of all pieces; of those after the largest, one that cannot be followed is left out with a warning."""
+    """Paths of all pieces; one that is too small, or branches and is not the largest, is left out with a warning."""
     beads = []
     for rank, cluster in enumerate(difference.clusters):
         try:
             beads.append(trace_bead(cluster, points))
         except DegenerateError as error:
-            if rank == 0:
+            if rank == 0 and not isinstance(error, TooSmallError):
                 raise
             warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
     return tuple(beads)
