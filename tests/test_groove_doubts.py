@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from groove_scenes import anywhere, cloud, grid, straight_groove, vee
+from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 from grindvision.cell import weld_scene
 from grindvision.errors import GrindvisionWarning
@@ -28,6 +28,24 @@ def test_a_gap_between_two_blocks_is_a_warning(gap_mm, high_mm, shadow, seed):
     points, _, shift = anywhere(gap(rng, gap_mm, high_mm, rng.choice([0.1, 0.3]), shadow), rng)
     with pytest.warns(GrindvisionWarning, match=r"groove 1 .* may be a gap between two things"):
         trace_weld(points, viewpoint_mm=shift)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("gap_mm", "high_mm"), [(30, 15), (30, 40), (40, 30), (40, 100)])
+def test_a_groove_comes_before_a_gap_however_large(gap_mm, high_mm, seed):
+    rng = np.random.default_rng([seed, gap_mm, high_mm])
+    places = grid(200, 200, 1.0)
+    y = places[:, 1]
+    seen = cloud(places, np.where(np.abs(y) < gap_mm / 2, 0, high_mm + vee(y - 60)), rng, rng.choice([0.1, 0.3]))
+    points, rotation, shift = anywhere(seen, rng)
+    with pytest.warns(GrindvisionWarning) as caught:
+        weld = trace_weld(points, viewpoint_mm=shift)
+    first = np.isin(np.arange(len(points)), weld.grooves[0].members)
+    assert overlap(first, np.abs(y - 60) < 5) > 0.9
+    assert np.abs((weld.path.points - shift) @ rotation[:, 1] + 60).max() < 0.5
+    assert [len(weld.grooves), len(weld.left_out)] == [2, 0]
+    assert any("groove 2" in str(one.message) and "may be a gap" in str(one.message) for one in caught)
+    assert not any("groove 1" in str(one.message) for one in caught)
 
 
 def test_a_groove_of_few_points_is_a_warning(rng):

@@ -122,7 +122,7 @@ def doubts_of_detection(report: Mapping[str, Any], noise_mm: float) -> pd.DataFr
 
 
 def doubts_of_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: float) -> pd.DataFrame:
-    """What to look at in a report.json of ``groove``, for its largest groove."""
+    """What to look at in a report.json of ``groove``, for its first groove."""
     groove = report["grooves"][0]
     width = groove["width_mm"]
     rows = [

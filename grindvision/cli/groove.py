@@ -33,9 +33,9 @@ COLUMNS = "waypoint,x_mm,y_mm,z_mm,nx,ny,nz,roll_rad,pitch_rad,yaw_rad"
 
 EPILOG = """\
 results in DIR:
-  trajectory.csv   way points along the largest groove's root, outward normals, and the torch's roll, pitch, yaw
+  trajectory.csv   way points along the first groove's root, outward normals, and the torch's roll, pitch, yaw
                    (R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam), frame of CLOUD
-  trajectory_2.csv, ...  further grooves, smaller ones after larger ones
+  trajectory_2.csv, ...  further grooves, smaller after larger, those that may be gaps between two things last
   labels.npy       bool, one per point of CLOUD in its order: does it belong to a groove?
   program.*        with --robot: the motion for the controller
   report.png       did it work? the groove and the path on the cloud, the path's course

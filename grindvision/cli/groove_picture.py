@@ -84,4 +84,4 @@ def _verdict(weld: Weld) -> tuple[str, str]:
     depth = f"{np.median(groove.depth_mm):.1f} mm deep"
     if len(weld.grooves) == 1:
         return f"Found 1 groove: {size}, {depth}", f"{weld.path}. Frame: the cloud's."
-    return f"Found {len(weld.grooves)} grooves; the largest: {size}, {depth}", f"{weld.path}. Frame: the cloud's."
+    return f"Found {len(weld.grooves)} grooves; the first: {size}, {depth}", f"{weld.path}. Frame: the cloud's."

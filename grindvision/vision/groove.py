@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
+from grindvision.vision.groove_doubts import LEAST_WALL_SHARE, wall_share
 from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, fit_groove
 from grindvision.vision.groove_lines import DetectedGroove
 from grindvision.vision.height_field import field_bounds, spacing_of
@@ -25,7 +26,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: A groove holds at least this share of the volume of the largest one.
+#: A groove holds at least this share of the volume of the first one.
 LEAST_VOLUME_SHARE = 0.05
 #: Where the largest valley is no groove, so many of the valleys under each smaller disc are fitted, largest first.
 MOST_LOOKED_AT = 4
@@ -35,12 +36,13 @@ KNOWN_SHARE = 0.5
 
 @dataclass(frozen=True)
 class GrooveDetection:
-    """All grooves of a cloud, largest volume first; ``labels`` in the cloud's shape marks the points of any groove.
+    """All grooves of a cloud, largest volume first, but what may be a gap between two things last.
 
-    ``groove_id`` has the same shape: rank of the point's groove, -1 outside. ``spacing_mm`` is the cloud's point
-    distance, ``T_field_cloud`` (4, 4) the frame whose z axis is the viewing direction that was used. ``left_out`` are
-    grooves too small against the largest one to count. ``cluttered`` says that there are larger valleys than the
-    grooves, and that they are none: gaps between the things in the scene.
+    ``labels`` in the cloud's shape marks the points of any groove. ``groove_id`` has the same shape: rank of the
+    point's groove, -1 outside. ``spacing_mm`` is the cloud's point distance, ``T_field_cloud`` (4, 4) the frame whose z
+    axis is the viewing direction that was used. ``left_out`` are grooves too small against the first one to count.
+    ``cluttered`` says that there are larger valleys than the grooves, and that they are none: gaps between the things
+    in the scene.
     """
 
     grooves: tuple[DetectedGroove, ...]
@@ -100,11 +102,13 @@ def find_grooves(
     rank = np.full(len(valid), -1)
     at = np.flatnonzero(valid)
     found = [_with_members(groove, at[groove.members]) for groove in best[0]]
-    grooves = [groove for groove in found if groove.volume_mm3 >= LEAST_VOLUME_SHARE * found[0].volume_mm3]
+    least = LEAST_VOLUME_SHARE * found[0].volume_mm3
+    grooves = [groove for groove in found if groove.volume_mm3 >= least]
     for number, groove in reversed(list(enumerate(grooves))):
         rank[groove.members] = number
     ranks = rank.reshape(np.shape(points)[:-1])
-    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], tuple(found[len(grooves) :]), best[2])
+    left_out = tuple(groove for groove in found if groove.volume_mm3 < least)
+    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], left_out, best[2])
 
 
 def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
@@ -143,24 +147,30 @@ def _with_members(groove: DetectedGroove, members: Integers) -> DetectedGroove:
 def _grooves_seen(
     cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None
 ) -> tuple[list[DetectedGroove], bool]:
-    """Grooves of one side of the surface, largest first; one seen from several directions counts once.
+    """Grooves of one side of the surface, largest first, what may be gaps last; one seen from several directions counts
+    once.
 
     Also, whether some were found only under a smaller disc than the one that fills the largest valley.
     """
     radius = None if width_mm is None else max(1.2 * width_mm, 8 * spacing)
     found: list[DetectedGroove] = []
     cluttered = False
+
+    def may_be_gap(groove: DetectedGroove) -> bool:
+        return wall_share(groove, cloud) < LEAST_WALL_SHARE
+
     for frame in frames:
         for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
+            before = len(found)
             for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
                 if not _known(path, found):
                     groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
-            if found:
-                cluttered = cluttered or look > 0
+            cluttered = cluttered or (look > 0 and len(found) > before)
+            if not all(may_be_gap(groove) for groove in found):
                 break
-    return sorted(found, key=lambda groove: -groove.volume_mm3), cluttered
+    return sorted(found, key=lambda groove: (may_be_gap(groove), -groove.volume_mm3)), cluttered
 
 
 def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:

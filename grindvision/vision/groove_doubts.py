@@ -30,16 +30,15 @@ def doubts_about(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -
             f"lies partly outside the cloud: only {groove.edges_seen:.0%} of its length shows"
             " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view"
         )
-    members = np.asarray(points, dtype=float).reshape(-1, 3)[groove.members]
     width = float(np.median(groove.width_mm))
-    on_walls = _wall_share(groove, members[:: len(members) // POINTS_ASKED + 1])
+    on_walls = wall_share(groove, np.asarray(points, dtype=float).reshape(-1, 3))
     if on_walls < LEAST_WALL_SHARE:
         doubts.append(
             f"({width:.3g} mm wide) may be a gap between two things: only {on_walls:.0%} of its points lie on its"
             " walls, so that its edges and its root are guesses; see in the picture that it is a groove, else crop the"
             " cloud to the part"
         )
-    filling = len(members) * spacing_mm**2 / (width * groove.length_mm)
+    filling = len(groove.members) * spacing_mm**2 / (width * groove.length_mm)
     if filling < LEAST_FILLING:
         doubts.append(
             f"holds only {filling:.0%} of the points that its {width:.3g} mm x {groove.length_mm:.3g} mm would show at"
@@ -49,8 +48,12 @@ def doubts_about(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -
     return doubts
 
 
-def _wall_share(groove: DetectedGroove, members: Floats) -> float:
-    """Share of a groove's points (K, 3) that lie on its walls, neither near the surface around nor near the root."""
+def wall_share(groove: DetectedGroove, cloud: Floats) -> float:
+    """Share of a groove's points in its cloud (N, 3) that lie on its walls, away from the surface around and the root.
+
+    Below ``LEAST_WALL_SHARE`` it may be a gap between two things.
+    """
+    members = cloud[groove.members[:: len(groove.members) // POINTS_ASKED + 1]]
     middle = (groove.left + groove.right) / 2
     nearest = cKDTree(middle).query(members)[1]
     below = ((middle[nearest] - members) * groove.normals[nearest]).sum(axis=1) / groove.depth_mm[nearest]

@@ -22,11 +22,11 @@ VARIANTS = ("ours", "paper")
 
 @dataclass(frozen=True)
 class Weld:
-    """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, the largest groove's first.
+    """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, as in ``find_grooves``.
 
     ``grooves`` belong to the paths one by one; the paper's variant measures none and has one path. ``timings_s`` holds
     seconds per stage, ``spacing_mm`` the distance of neighbouring points as ours found it. ``left_out`` are
-    grooves that were found too, but are too small against the largest to count.
+    grooves that were found too, but are too small against the first to count.
     """
 
     variant: str
@@ -39,7 +39,7 @@ class Weld:
 
     @property
     def path(self) -> SeamPath:
-        """The path of the largest groove."""
+        """The path of the first groove."""
         return self.paths[0]
 
     def __str__(self) -> str:
