@@ -14,6 +14,7 @@ from grindvision.book.places import NOTEBOOKS
 from grindvision.clouds import write_ply
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision.vision.groove_doubts import LEAST_BOTH_SIDES
 
 
 def test_files_are_all_given_or_all_simulated(tmp_path):
@@ -68,6 +69,15 @@ def test_a_weak_result_is_doubted():
     assert set(own_files.doubts_of_detection(good, 0.04)["verdict"]) == {"well"}
     weak = good | {"confidence": 0.2, "fitness": 0.3, "rmse": 0.5, "beads": [{"height_mm": 0.15}]}
     assert set(own_files.doubts_of_detection(weak, 0.04)["verdict"]) == {"look"}
+
+
+def test_the_table_doubts_a_groove_where_the_command_does():
+    for edges_seen, verdict in ((LEAST_BOTH_SIDES, "well"), (LEAST_BOTH_SIDES - 0.01, "look")):
+        groove = {"width_mm": 10.0, "depth_mm": 6.0, "length_mm": 120.0, "root_deviation_mm": 0.05}
+        report = {"grooves": [groove | {"edges_seen": edges_seen}]}
+        rows = own_files.doubts_of_groove(report, 0.7, 0.1).set_index("quantity")["verdict"]
+        assert rows.pop("share with both edges seen") == verdict
+        assert set(rows) == {"well"}
 
 
 @pytest.mark.full

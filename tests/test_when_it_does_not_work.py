@@ -244,6 +244,31 @@ def at_the_rim(folder):
     return seam(folder, points[grid()[:, 1] < 4])
 
 
+def between_blocks(folder: Path, gap_mm: float, high_mm: float, groove_mm: float = 0.0) -> list[object]:
+    """Words of ``groove`` for two blocks on a table; a groove in one of them is so deep."""
+    places = grid(200, 200, 1.0)
+    y = places[:, 1]
+    heights = np.where(np.abs(y) < gap_mm / 2, 0, high_mm + vee(y - 60, depth_mm=groove_mm))
+    return seam(folder, cloud(places, heights, np.random.default_rng(1)))
+
+
+@mistake("The groove may be a gap between two things")
+def two_blocks(folder):
+    return between_blocks(folder, 40, 30)
+
+
+@mistake("The largest hollows are no grooves")
+def deep_gap(folder):
+    return between_blocks(folder, 40, 100, groove_mm=6.0)
+
+
+@mistake("The groove holds few points")
+def shiny(folder):
+    rng = np.random.default_rng(1)
+    points, inside = straight_groove(rng, spacing_mm=0.4)
+    return seam(folder, points[~inside | (rng.random(len(points)) < 0.2)])
+
+
 def flat_plates(folder: Path, steps: np.ndarray, *, bent: float = 0.0) -> list[object]:
     """Words of ``calibrate-field`` for three plates 20 mm apart; ``bent`` tilts the last."""
     u, v = (part.ravel() for part in np.meshgrid(np.linspace(-0.3, 0.3, 40), np.linspace(-0.2, 0.2, 30)))

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.clouds import extent, finite_points, read_cloud
 from grindvision.errors import InputError
+from grindvision.vision.groove_doubts import LEAST_BOTH_SIDES
 from grindvision.vision.surfels import build_surfels
 
 Floats = NDArray[np.float64]
@@ -129,7 +130,13 @@ def doubts_of_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: flo
         ("width, mm; 8 spacings", width, ">=", 8 * spacing_mm, "few points across: the root is a guess"),
         ("depth, mm; 6 noise", groove["depth_mm"], ">=", 6 * noise_mm, "walls drown in noise: scan from nearer"),
         ("length, mm; 3 widths", groove["length_mm"], ">=", 3 * width, "short: may be a dent"),
-        ("share with both edges seen", groove["edges_seen"], ">=", 0.9, "partly outside the cloud: scan it whole"),
+        (
+            "share with both edges seen",
+            groove["edges_seen"],
+            ">=",
+            LEAST_BOTH_SIDES,
+            "partly outside the cloud: scan it whole",
+        ),
         ("deviation of the root, mm", groove["root_deviation_mm"], "<=", 1.0, "the root is uncertain"),
     ]
     return _judged(rows)

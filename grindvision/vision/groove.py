@@ -28,7 +28,8 @@ Flags = NDArray[np.bool_]
 
 #: A groove holds at least this share of the volume of the first one.
 LEAST_VOLUME_SHARE = 0.05
-#: Where the largest valley is no groove, so many of the valleys under each smaller disc are fitted, largest first.
+#: Where the largest valley is no groove or may be a gap, so many of the valleys under each smaller disc are fitted,
+#: largest first.
 MOST_LOOKED_AT = 4
 #: A path that runs along a known groove for this share is that groove again.
 KNOWN_SHARE = 0.5
