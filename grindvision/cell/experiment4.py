@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from grindvision import paper
 from grindvision.cell.grinding_part import BEAD_PLACE, STATION_MM, Bead, GrindingPart, Surface, free_form, good_part
 from grindvision.cell.grinding_scene import GrindingScene, scanned_pair
-from grindvision.cell.rays import Target
+from grindvision.cell.rays import Target, target_of
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import (
@@ -167,7 +167,7 @@ def experiment4_twin(
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
     T_part_test = inverse(T_scanner_part)
-    target = Target(part.sample)
+    target = target_of(part.sample)
     spots = _shown(scanner, target, T_part_test)
     place = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
     for _ in range(MOST_DRAWS):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import BEAD, LENGTH_MM, GrindingPart, grinding_part
-from grindvision.cell.rays import Target
+from grindvision.cell.rays import target_of
 from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.cell.views import view_from
@@ -111,8 +111,8 @@ def scanned_pair(
     every: int = 1,
 ) -> GrindingScene:
     """Scan the good part from pose ``T_part_sample`` and the one with the bead from ``T_part_test``."""
-    sample = scanner.scan(Target(part.sample), T_part_sample, rng, every)
-    test = scanner.scan(Target(part.test), T_part_test, rng, every)
+    sample = scanner.scan(target_of(part.sample), T_part_sample, rng, every)
+    test = scanner.scan(target_of(part.test), T_part_test, rng, every)
     T_test_part = inverse(T_part_test)
     return GrindingScene(
         part,

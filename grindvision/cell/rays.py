@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba as nb
 import numpy as np
@@ -62,6 +63,12 @@ class Target:
         """Whether the straight way from surface points (N, 3) to ``eye`` (3,) is free."""
         ways = _ways(points, normals, eye, self.centre)
         return ~self._scene.test_occlusions(o3d.core.Tensor(ways), tfar=1.0).numpy()
+
+
+@lru_cache(maxsize=4)
+def target_of(solid: Solid) -> Target:
+    """The solid as a target; the last few are kept, as a study scans one part many times."""
+    return Target(solid)
 
 
 @nb.njit(cache=True)

@@ -17,7 +17,7 @@ from grindvision.cell.rays import Target
 from grindvision.cell.scan import NO_SURFACE, Scan, Sighting
 from grindvision.cell.scanner_errors import ScannerErrors, distortion
 from grindvision.errors import InputError, SightError
-from grindvision.geometry import check_rigid, inverse, move_points, turn_vectors
+from grindvision.geometry import check_rigid, move_points
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -113,22 +113,20 @@ class Scanner:
                 f"the part lies {hits.distance.min():.0f} to {hits.distance.max():.0f} mm from the scanner, outside its"
                 f" measuring range of {self.near_mm:.0f} to {self.far_mm:.0f} mm; move the scanner"
             )
-        (row, column), triangle = np.divmod(hits.ray[inside], len(u)), hits.triangle[inside]
-        z = hits.distance[inside]
-        points = np.column_stack([x[column] * z, y[row] * z, z])
-        T_scanner_world = inverse(pose)
-        normals = turn_vectors(T_scanner_world, target.normals[triangle])
+        ray, z, triangle = hits.ray[inside], hits.distance[inside], hits.triangle[inside]
+        facing = target.normals[triangle]
+        pixels, points, normals, incidence_rad = _seen(ray, z, facing, x, y, pose[:3, :3], self.baseline_mm)
         projector = np.array([self.baseline_mm, 0, 0])
         return Sighting(
-            np.column_stack([column, row]),
+            pixels,
             (len(v), len(u)),
             every,
             points,
             normals,
             target.solid.surface_id[triangle],
             target.solid.surfaces,
-            target.sees(move_points(pose, points), target.normals[triangle], move_points(pose, projector)),
-            np.maximum(_incidence(points, normals, np.zeros(3)), _incidence(points, normals, projector)),
+            target.sees(move_points(pose, points), facing, move_points(pose, projector)),
+            incidence_rad,
             pose,
         )
 
@@ -271,17 +269,34 @@ def _directions(x: Floats, y: Floats, rotation: Floats) -> Floats:
 
 
 @nb.njit(cache=True)
-def _incidence(points: Floats, normals: Floats, eye: Floats) -> Floats:
-    """Angles (N,) in radians between the ways from surface points (N, 3) to the eye and the normals there."""
-    angles = np.empty(len(points))
-    for i in range(len(points)):
-        along, squared = 0.0, 0.0
+def _seen(
+    ray: Integers, z: Floats, facing: Floats, x: Floats, y: Floats, rotation: Floats, baseline_mm: float
+) -> tuple[Integers, Floats, Floats, Floats]:
+    """Pixels (N, 2), points and normals (N, 3) in the scanner frame and incidence (N,) of the hits of ``_directions``.
+
+    The hits lie at depths ``z`` (N,) and have the normals ``facing`` (N, 3) in the target's frame. Incidence is the
+    larger angle in radians between the normal and the ways to the camera and to the projector.
+    """
+    pixels = np.empty((len(ray), 2), dtype=np.int64)
+    points, normals, incidence = np.empty((len(ray), 3)), np.empty((len(ray), 3)), np.empty(len(ray))
+    for i in range(len(ray)):
+        row = ray[i] // len(x)
+        column = ray[i] - row * len(x)
+        pixels[i, 0], pixels[i, 1] = column, row
+        points[i, 0], points[i, 1], points[i, 2] = x[column] * z[i], y[row] * z[i], z[i]
         for k in range(3):
-            way = eye[k] - points[i, k]
-            along += way * normals[i, k]
-            squared += way * way
-        angles[i] = np.arccos(min(max(along / np.sqrt(squared), -1.0), 1.0))
-    return angles
+            normals[i, k] = (
+                facing[i, 0] * rotation[0, k] + facing[i, 1] * rotation[1, k] + facing[i, 2] * rotation[2, k]
+            )
+        to_camera = -(points[i, 0] * normals[i, 0] + points[i, 1] * normals[i, 1] + z[i] * normals[i, 2])
+        to_projector = to_camera + baseline_mm * normals[i, 0]
+        aside = points[i, 1] ** 2 + z[i] ** 2
+        cosine = min(
+            to_camera / np.sqrt(points[i, 0] ** 2 + aside),
+            to_projector / np.sqrt((points[i, 0] - baseline_mm) ** 2 + aside),
+        )
+        incidence[i] = np.arccos(min(max(cosine, -1.0), 1.0))
+    return pixels, points, normals, incidence
 
 
 def _correlated(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Floats:

@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solid:
     """A closed mesh: ``vertices_mm`` (V, 3), ``triangles`` (M, 3) counter-clockwise from outside.
 
-    ``surface_id`` (M,) indexes the names in ``surfaces``.
+    ``surface_id`` (M,) indexes the names in ``surfaces``. A solid equals itself only.
     """
 
     vertices_mm: Floats

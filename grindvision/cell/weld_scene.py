@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grindvision.cell.rays import Target
+from grindvision.cell.rays import Target, target_of
 from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import DepthCamera, Scanner
 from grindvision.cell.views import view_from
@@ -89,7 +89,7 @@ def weld_scene(
     tilt, roll = np.radians(TILT_DEG[kind] + rng.uniform(-4, 4)), np.radians(rng.uniform(-8, 8))
     sideways = np.radians(90 + rng.uniform(-20, 20))
     pose = view_from(np.zeros(3), distance_mm, tilt, sideways, roll)
-    target = Target(piece.solid)
+    target = target_of(piece.solid)
     scan = camera.scan(target, pose, rng, every)
     seen = _visible(piece, camera, target, pose)
     T_camera_piece = inverse(pose)
