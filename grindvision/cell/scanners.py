@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import gaussian_filter
 
 from grindvision.cell.rays import Target
 from grindvision.cell.scan import NO_SURFACE, Scan, Sighting
 from grindvision.cell.scanner_errors import ScannerErrors, distortion
+from grindvision.cell.scanner_pixels import correlated, depth_steps, directions, moved, seen
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import check_rigid, move_points
 
@@ -104,7 +103,7 @@ class Scanner:
         v = np.arange(max(top, 0), min(bottom, self.rows - 1) + 1, every)
         x = self.rays(np.column_stack([u, np.zeros_like(u)]))[:, 0]
         y = self.rays(np.column_stack([np.zeros_like(v), v]))[:, 1]
-        hits = target.cast(pose[:3, 3], _directions(x, y, pose[:3, :3]))
+        hits = target.cast(pose[:3, 3], directions(x, y, pose[:3, :3]))
         inside = (hits.distance >= self.near_mm) & (hits.distance <= self.far_mm)
         if not inside.any():
             if len(hits.ray) == 0:
@@ -114,8 +113,8 @@ class Scanner:
                 f" measuring range of {self.near_mm:.0f} to {self.far_mm:.0f} mm; move the scanner"
             )
         ray, z, triangle = hits.ray[inside], hits.distance[inside], hits.triangle[inside]
-        facing = target.normals[triangle]
-        pixels, points, normals, incidence_rad = _seen(ray, z, facing, x, y, pose[:3, :3], self.baseline_mm)
+        facing = target.normals.take(triangle, axis=0)
+        pixels, points, normals, incidence_rad = seen(ray, z, facing, x, y, pose[:3, :3], self.baseline_mm)
         projector = np.array([self.baseline_mm, 0, 0])
         return Sighting(
             pixels,
@@ -137,34 +136,33 @@ class Scanner:
             SightError: shadow and grazing angles leave no point.
         """
         errors = self.errors
-        kept = np.ones(len(sighting.points), dtype=bool)
+        lost = np.zeros(len(sighting.points), dtype=bool)
         if errors.shadow:
-            kept &= sighting.in_light
+            lost |= ~sighting.in_light
         if errors.grazing_deg is not None:
-            kept &= sighting.incidence_rad <= np.radians(errors.grazing_deg)
-        if not kept.any():
+            lost |= sighting.incidence_rad > np.radians(errors.grazing_deg)
+        kept = np.flatnonzero(~lost)
+        if len(kept) == 0:
             raise SightError("the scanner sees nothing: all points lie in shadow or at grazing angles; turn it")
-        pixels, true_points = sighting.pixels[kept], sighting.points[kept]
-        surface_id, normals = sighting.surface_id[kept], sighting.normals[kept]
+        pixels, true_points, surface_id, normals = (
+            values.take(kept, axis=0)
+            for values in (sighting.pixels, sighting.points, sighting.surface_id, sighting.normals)
+        )
         z = true_points[:, 2].copy()
         if errors.mixed_pixels:
             mixed = self._mix(z, pixels, sighting.grid_shape, rng)
             surface_id = np.where(mixed, NO_SURFACE, surface_id)
-        rays = true_points / true_points[:, 2:]
         disparity = np.zeros(len(z))
         if errors.triangulation_px:
             disparity += errors.triangulation_px * rng.standard_normal(len(z))
         if errors.correlated_px:
-            noise = _correlated(sighting.grid_shape, errors.correlation_length_px / sighting.every, rng)
+            noise = correlated(sighting.grid_shape, errors.correlation_length_px / sighting.every, rng)
             disparity += errors.correlated_px * noise[pixels[:, 1], pixels[:, 0]]
-        measured = z + self.systematic_mm(rays * z[:, None]) + self.mm_per_px(z) * disparity
-        if errors.white_mm:
-            measured += errors.white_mm * rng.standard_normal(len(z)) / np.linalg.norm(rays, axis=1)
-        if errors.disparity_step_px:
-            product = self.focal_px * self.baseline_mm
-            measured = product / (errors.disparity_step_px * np.round(product / measured / errors.disparity_step_px))
+        white = errors.white_mm * rng.standard_normal(len(z)) if errors.white_mm else np.zeros(len(z))
+        off = self.systematic_mm(true_points * (z / true_points[:, 2])[:, None]) + self.mm_per_px(z) * disparity
+        product = self.focal_px * self.baseline_mm
         return Scan(
-            rays * measured[:, None],
+            moved(true_points, z, off, white, product, errors.disparity_step_px),
             pixels,
             sighting.grid_shape,
             true_points,
@@ -184,11 +182,7 @@ class Scanner:
 
     def _mix(self, z: Floats, pixels: Integers, shape: tuple[int, int], rng: np.random.Generator) -> Flags:
         """Move some pixels at depth edges, in place, part of the way to the neighbour's depth; mark them."""
-        grid = np.full((shape[0] + 1, shape[1] + 1), np.nan)
-        grid[pixels[:, 1], pixels[:, 0]] = z
-        column, row = pixels.T
-        aside, below = (np.nan_to_num(grid[at] - z) for at in ((row, column + 1), (row + 1, column)))
-        step = np.where(np.abs(aside) >= np.abs(below), aside, below)
+        step = depth_steps(z, pixels, shape)
         edge = np.abs(step) > self.errors.edge_mm
         mixed = edge & (rng.random(len(z)) < self.errors.mixed_pixels)
         z[mixed] += rng.random(int(mixed.sum())) * step[mixed]
@@ -255,51 +249,3 @@ class DepthCamera(Scanner):
             disparity_step_px=1 / 32,
         )
     )
-
-
-@nb.njit(cache=True)
-def _directions(x: Floats, y: Floats, rotation: Floats) -> Floats:
-    """Rays (x, y, 1) of all columns ``x`` (C,) and rows ``y`` (R,), row by row and turned by ``rotation``: (R C, 3)."""
-    directions = np.empty((len(y) * len(x), 3))
-    for i in range(len(y)):
-        for j in range(len(x)):
-            for k in range(3):
-                directions[i * len(x) + j, k] = x[j] * rotation[k, 0] + y[i] * rotation[k, 1] + rotation[k, 2]
-    return directions
-
-
-@nb.njit(cache=True)
-def _seen(
-    ray: Integers, z: Floats, facing: Floats, x: Floats, y: Floats, rotation: Floats, baseline_mm: float
-) -> tuple[Integers, Floats, Floats, Floats]:
-    """Pixels (N, 2), points and normals (N, 3) in the scanner frame and incidence (N,) of the hits of ``_directions``.
-
-    The hits lie at depths ``z`` (N,) and have the normals ``facing`` (N, 3) in the target's frame. Incidence is the
-    larger angle in radians between the normal and the ways to the camera and to the projector.
-    """
-    pixels = np.empty((len(ray), 2), dtype=np.int64)
-    points, normals, incidence = np.empty((len(ray), 3)), np.empty((len(ray), 3)), np.empty(len(ray))
-    for i in range(len(ray)):
-        row = ray[i] // len(x)
-        column = ray[i] - row * len(x)
-        pixels[i, 0], pixels[i, 1] = column, row
-        points[i, 0], points[i, 1], points[i, 2] = x[column] * z[i], y[row] * z[i], z[i]
-        for k in range(3):
-            normals[i, k] = (
-                facing[i, 0] * rotation[0, k] + facing[i, 1] * rotation[1, k] + facing[i, 2] * rotation[2, k]
-            )
-        to_camera = -(points[i, 0] * normals[i, 0] + points[i, 1] * normals[i, 1] + z[i] * normals[i, 2])
-        to_projector = to_camera + baseline_mm * normals[i, 0]
-        aside = points[i, 1] ** 2 + z[i] ** 2
-        cosine = min(
-            to_camera / np.sqrt(points[i, 0] ** 2 + aside),
-            to_projector / np.sqrt((points[i, 0] - baseline_mm) ** 2 + aside),
-        )
-        incidence[i] = np.arccos(min(max(cosine, -1.0), 1.0))
-    return pixels, points, normals, incidence
-
-
-def _correlated(shape: tuple[int, int], length: float, rng: np.random.Generator) -> Floats:
-    """Unit-variance noise (rows, columns): white noise smoothed by a Gaussian of sigma ``length`` pixels."""
-    noise = gaussian_filter(rng.standard_normal(shape), length, mode="wrap", truncate=3.0)
-    return noise * np.sqrt(max(4 * np.pi * length**2, 1.0))
