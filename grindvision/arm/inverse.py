@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from grindvision.arm.jacobians import joint_twists
-from grindvision.arm.mdh import MdhArm, forward
+from grindvision.arm.mdh import MdhArm, joint_transforms
 from grindvision.errors import InputError
 from grindvision.geometry import check_rigid
 
@@ -52,17 +53,22 @@ def nearest_angles(
     if starts < 1:
         raise InputError(f"starts is {starts}; at least one is needed")
 
+    @lru_cache(maxsize=1)
+    def reached(q_rad: tuple[float, ...]) -> tuple[Floats, Floats]:
+        """Joint frames, and the rotation vector that is missing; the solver asks for both functions at one place."""
+        frames = joint_transforms(arm, q_rad)
+        return frames, Rotation.from_matrix(pose[:3, :3] @ frames[-1, :3, :3].T).as_rotvec()
+
     def residual(q: Floats) -> Floats:
-        reached = forward(arm, q)
-        turn = Rotation.from_matrix(pose[:3, :3] @ reached[:3, :3].T).as_rotvec()
-        return np.concatenate([reached[:3, 3] - pose[:3, 3], -mm_per_rad * turn])
+        frames, turn = reached(tuple(q))
+        return np.concatenate([frames[-1, :3, 3] - pose[:3, 3], -mm_per_rad * turn])
 
     def jacobian(q: Floats) -> Floats:
-        twists = joint_twists(arm, q)
-        position = forward(arm, q)[:3, 3]
-        turn = residual(q)[3:] / mm_per_rad
+        frames, turn = reached(tuple(q))
+        twists = joint_twists(arm, q, frames)
+        position = frames[-1, :3, 3]
         return np.vstack(
-            [twists[:3] + np.cross(twists[3:], position[:, None], axis=0), mm_per_rad * _log_slope(turn) @ twists[3:]]
+            [twists[:3] + np.cross(twists[3:], position[:, None], axis=0), mm_per_rad * _log_slope(-turn) @ twists[3:]]
         )
 
     found: list[InverseSolution] = []
