@@ -143,16 +143,16 @@ def sphere_centre_errors(
     # The image of a near sphere is bounded by the cone of tangent rays, a little in front of the great circle.
     tangent = SPHERE_RADIUS_MM / np.linalg.norm(centres, axis=1)[:, None, None]
     across_view = np.sqrt(1 - tangent**2) * (a[:, None] * side[:, None, :] + b[:, None] * up[:, None, :])
-    depth = np.sqrt(1 - np.einsum("kij,kij->ki", across_view, across_view))
+    depth = np.sqrt(1 - (1 - tangent[:, :, 0] ** 2) * (a**2 + b**2))
     normals = across_view - depth[:, :, None] * view[:, None, :]
     points = centres[:, None, :] + SPHERE_RADIUS_MM * normals
 
     errors = scanner.errors
-    seen = np.einsum("kij,kj->ki", normals, down) < NEST_COSINE
+    seen = (normals @ down[:, :, None])[:, :, 0] < NEST_COSINE
+    least_cosine = 0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg))
     for eye in (np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])):
         way = eye - points
-        cosine = np.einsum("kij,kij->ki", way, normals) / np.linalg.norm(way, axis=2)
-        seen &= cosine > (0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg)))
+        seen &= np.einsum("kij,kij->ki", way, normals) > least_cosine * np.sqrt(np.einsum("kij,kij->ki", way, way))
     systematic = scanner.systematic_mm(points.reshape(-1, 3)).reshape(seen.shape)
     z = points[:, :, 2]
     pixels = np.pi * (SPHERE_RADIUS_MM * scanner.focal_px / z) ** 2
@@ -160,12 +160,12 @@ def sphere_centre_errors(
     disparity = np.sqrt(errors.triangulation_px**2 + smoothed * errors.correlated_px**2)
     spread = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(disc.sum() / pixels)
     shift = systematic + spread * rng.standard_normal(seen.shape)
-    along = np.einsum("kij,kij->ki", normals, points / z[:, :, None]) * shift
-    weighted = normals * seen[:, :, None]
-    system = np.einsum("kij,kil->kjl", weighted, normals)
+    along = np.einsum("kij,kij->ki", normals, points) / z * shift
+    weighted = np.swapaxes(normals * seen[:, :, None], 1, 2)
+    system = weighted @ normals
     if np.linalg.cond(system).max() > 1e6:
         raise DegenerateError("too little of a sphere is seen to locate its centre; choose another direction")
-    return np.linalg.solve(system, np.einsum("kij,ki->kj", weighted, along)[:, :, None])[:, :, 0]
+    return np.linalg.solve(system, weighted @ along[:, :, None])[:, :, 0]
 
 
 def nest_directions(T_base_scanner: ArrayLike) -> Floats:
