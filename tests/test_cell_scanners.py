@@ -55,9 +55,12 @@ def plain_sighting(scanner, target, pose, every):
     "scanner", [cell.StructuredLightScanner(far_mm=600.0), cell.DepthCamera()], ids=["EinScan", "D415"]
 )
 @pytest.mark.parametrize("every", [3, 7])
-def test_a_sighting_is_what_plain_arrays_make_of_the_same_rays(scanner, every):
+@pytest.mark.parametrize(
+    "aim", [[5.0, -3.0, 2.0], [95.0, 70.0, 0.0], [-150.0, 0.0, 0.0]], ids=["whole", "corner", "side"]
+)
+def test_a_sighting_is_what_plain_arrays_make_of_the_same_rays(scanner, every, aim):
     target = cell.Target(cell.grinding_part().test)
-    pose = cell.view_from(np.array([5.0, -3.0, 2.0]), 430.0, 0.3, 1.0, 0.2)
+    pose = cell.view_from(np.array(aim), 430.0, 0.3, 1.0, 0.2)
     seen = scanner.sight(target, pose, every)
     pixels, points, normals, light, incidence = plain_sighting(scanner, target, pose, every)
     np.testing.assert_array_equal(seen.pixels, pixels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -31,7 +32,8 @@ class Hits:
 
 
 class Target:
-    """A solid made ready for many rays. All points and directions are in the solid's frame."""
+    """A solid made ready for many rays. All points and directions are in the solid's frame; so is ``box_mm`` (8, 3),
+    the corners of its bounding box."""
 
     def __init__(self, solid: Solid) -> None:
         self.solid = solid
@@ -40,7 +42,9 @@ class Target:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         self.normals = normals / np.where(lengths > 0, lengths, 1)
         self.corners = a
-        self.centre = (solid.vertices_mm.min(axis=0) + solid.vertices_mm.max(axis=0)) / 2
+        ends = np.array([solid.vertices_mm.min(axis=0), solid.vertices_mm.max(axis=0)])
+        self.box_mm = np.array(list(itertools.product(*ends.T)))
+        self.centre = ends.sum(axis=0) / 2
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
             o3d.core.Tensor((solid.vertices_mm - self.centre).astype(np.float32)),

@@ -16,7 +16,7 @@ from grindvision.cell.scan import NO_SURFACE, Scan, Sighting
 from grindvision.cell.scanner_errors import ScannerErrors, distortion
 from grindvision.cell.scanner_pixels import correlated, depth_steps, directions, moved, seen
 from grindvision.errors import InputError, SightError
-from grindvision.geometry import check_rigid, move_points
+from grindvision.geometry import check_rigid, inverse, move_points
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -103,7 +103,8 @@ class Scanner:
         v = np.arange(max(top, 0), min(bottom, self.rows - 1) + 1, every)
         x = self.rays(np.column_stack([u, np.zeros_like(u)]))[:, 0]
         y = self.rays(np.column_stack([np.zeros_like(v), v]))[:, 1]
-        hits = target.cast(pose[:3, 3], directions(x, y, pose[:3, :3]))
+        columns, rows = _around(target.box_mm, pose, x, y)
+        hits = target.cast(pose[:3, 3], directions(x[columns], y[rows], pose[:3, :3]))
         inside = (hits.distance >= self.near_mm) & (hits.distance <= self.far_mm)
         if not inside.any():
             if len(hits.ray) == 0:
@@ -114,7 +115,10 @@ class Scanner:
             )
         ray, z, triangle = hits.ray[inside], hits.distance[inside], hits.triangle[inside]
         facing = target.normals.take(triangle, axis=0)
-        pixels, points, normals, incidence_rad = seen(ray, z, facing, x, y, pose[:3, :3], self.baseline_mm)
+        pixels, points, normals, incidence_rad = seen(
+            ray, z, facing, x[columns], y[rows], pose[:3, :3], self.baseline_mm
+        )
+        pixels += [columns.start, rows.start]
         projector = np.array([self.baseline_mm, 0, 0])
         return Sighting(
             pixels,
@@ -249,3 +253,19 @@ class DepthCamera(Scanner):
             disparity_step_px=1 / 32,
         )
     )
+
+
+def _around(box_mm: Floats, T_world_scanner: Floats, x: Floats, y: Floats) -> tuple[slice, slice]:
+    """Columns and rows whose rays may meet a box with corners (8, 3), one more to each side; all when it is behind.
+
+    ``x`` (C,) and ``y`` (R,) are the rays' first two components where the third is one.
+    """
+    corners = move_points(inverse(T_world_scanner), box_mm)
+    if corners[:, 2].min() <= 0:
+        return slice(0, len(x)), slice(0, len(y))
+    image = corners[:, :2] / corners[:, 2:]
+    bounds = zip((x, y), image.min(axis=0), image.max(axis=0), strict=True)
+    columns, rows = (
+        slice(max(int(np.searchsorted(at, low)) - 1, 0), int(np.searchsorted(at, high)) + 1) for at, low, high in bounds
+    )
+    return columns, rows
