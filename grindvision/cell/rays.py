@@ -69,7 +69,7 @@ class Target:
         return ~self._scene.test_occlusions(o3d.core.Tensor(ways), tfar=1.0).numpy()
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def target_of(solid: Solid) -> Target:
     """The solid as a target; the last few are kept, as a study scans one part many times."""
     return Target(solid)

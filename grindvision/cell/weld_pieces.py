@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import manifold3d as m3
 import numpy as np
@@ -92,8 +93,9 @@ class WeldPiece:
         return f"weld piece {self.kind}: groove of {section}, {length:.0f} mm long"
 
 
+@lru_cache(maxsize=8)
 def weld_piece(kind: str, groove: Groove | None = None) -> WeldPiece:
-    """Make one of ``KINDS`` with a groove (12 mm wide, 7 mm deep when left out).
+    """Make one of ``KINDS`` with a groove (12 mm wide, 7 mm deep when left out), or return the one made before.
 
     Raises:
         InputError: unknown kind; groove deeper than the plate or wall, or wider than the piece allows.
