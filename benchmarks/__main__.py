@@ -24,7 +24,7 @@ from grindvision.files import writable_folder
 
 JUDGED = (
     "judged: runs whose answers count for failures and errors; beyond the timed rounds, each of these was run once on"
-    " another scene. Programs of their own were not: pairs on equal scenes are in bench_scenes."
+    " another scene. Who rested after the first round was not: pairs on equal scenes are in bench_scenes."
 )
 
 
@@ -72,7 +72,9 @@ def run(chosen: list[Race], plan: Plan, folder: Path) -> None:
             found += race(there, rounds, one.judge, one.spare)
         further = one.more(plan)
         for cases in further:
-            found += judge_more([racer for racer in there if racer.warm_up], cases, one.judge, plan.rounds + 1)
+            runs = [measured.racer for measured in found if measured.case.label == cases[0].label]
+            raced = [racer for racer in there if runs.count(racer) >= plan.rounds]
+            found += judge_more(raced, cases, one.judge, plan.rounds + 1)
         if one.stage:
             found = [measured.without_reading() for measured in found]
         table = report.table_of(found, one.accuracy, one.lap)
@@ -99,7 +101,7 @@ def write_growth(folder: Path, table: pd.DataFrame, facts: dict[str, str]) -> No
 
 def write_scenes(folder: Path, found: list[Measurement], plan: Plan, facts: dict[str, str]) -> None:
     """Errors over all scenes, pair by pair, of the sizes that were judged on all of them."""
-    judged = [one for one in found if one.case.label in plan.stage_sizes and one.racer.warm_up]
+    judged = [one for one in found if one.case.label in plan.stage_sizes]
     table = scenes.paired(judged)
     if len(table):
         title = f"Whole detection: errors over {plan.scenes} scenes"
