@@ -20,6 +20,7 @@ from grindvision.geometry import rigid, rotation_about
 from grindvision.vision.groove_fit import LEAST_POINTS_ACROSS, LEAST_WALL_SLOPE
 from tests.calibration_rig import ROBOT, er3a, rig, ur5
 from tests.test_calibration_input import as_table
+from tests.test_doubts import on_a_table
 
 PAGE = Path(grindvision.book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
@@ -181,6 +182,11 @@ def swollen(folder):
 @mistake("The overlap hardly fixes the pose")
 def apart(folder):
     return seen_twice(plate_height, folder, windows=((-100, -20, -70, 70), (0, 100, -70, 70)))
+
+
+@mistake("A table around the part")
+def mostly_table(folder):
+    return two(folder, *on_a_table((300, 220)))
 
 
 @mistake("Transposed")
