@@ -33,8 +33,8 @@ _LINKED = (
 )
 
 _RACES = (
-    "goals", "detect", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel", "fpfh",
-    "startup", "first_call", "large_detect", "large_groove",
+    "goals", "detect", "scenes", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel",
+    "fpfh", "startup", "first_call", "large_detect", "large_groove",
 )  # fmt: skip
 
 #: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
