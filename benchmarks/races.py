@@ -121,7 +121,7 @@ COARSE = Race(
 
 GROOVE = Race(
     "groove",
-    "Cloud to groove (groove_s) and on to way points (median_s)",
+    "Cloud to groove, and on to way points",
     (
         ours("grindvision", "groove", "vision.trace_weld at its defaults", variant="ours"),
         ours("the paper's method", "groove", "vision.trace_weld(variant='paper')", "paper_variant", variant="paper"),
@@ -240,6 +240,12 @@ STARTUP = Race(
         process("import grindvision", "ours", "{python}", "-c", "import grindvision"),
         process("grindvision --help", "ours", "{python}", "-m", "grindvision", "--help"),
         process("vision.detect, imported", "ours", "{python}", "-c", "from grindvision import vision; vision.detect"),
+        process(
+            "one kernel on three points", "ours", "{python}", "-c",
+            "import numpy as np; from grindvision import vision; vision.detect;"
+            " from grindvision.vision.voxel_grid import voxel_grid; voxel_grid(np.eye(3), 1.0)",
+            about="the first call of a compiled kernel: what numba itself takes",
+        ),
         process("python, nothing else", "baseline", "{python}", "-c", "pass"),
         process("import open3d", "peer", "{python}", "-c", "import open3d", needs="open3d"),
     ),
@@ -248,7 +254,7 @@ STARTUP = Race(
     (),
     (),
     spare=False,
-)
+)  # fmt: skip
 
 FIRST_CALL = Race(
     "first_call",

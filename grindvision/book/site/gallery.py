@@ -38,7 +38,7 @@ def gallery_page(
         if cards:
             parts.append("::::{container} gallery\n" + "\n".join(cards) + "\n::::\n")
         parts += [
-            f"- [Table {table.name}](figures/{table.name}.md): {table.caption}. "
+            f"- [Table {table.name}](figures/{table.name}.md): {table.caption.rstrip('.')}. "
             f"[csv](figures/{table.name}.csv), {{download}}`md <figures/{table.name}.md>`"
             for table in listed
         ]
@@ -58,5 +58,5 @@ def _card(folder: Path, figure: Figure) -> str:
     links = ", ".join(f"[{kind}](figures/{figure.name}.{kind})" for kind in kinds)
     return (
         f":::{{figure}} figures/{small}\n:alt: {figure.caption or figure.name}\n:name: figure-{figure.name}\n\n"
-        f"**{figure.name}**. {figure.caption}. {links}\n:::"
+        f"**{figure.name}**. {figure.caption.rstrip('.')}. {links}\n:::"
     )
