@@ -18,9 +18,9 @@ from benchmarks.goals import NOTES, goals
 from benchmarks.peers.programs import build_pcl
 from benchmarks.races import Plan, Race
 from benchmarks.racing import Measurement, Racer, judge_more, race
-from grindvision.book.places import FIGURES
 from grindvision.errors import GrindvisionError
 from grindvision.files import writable_folder
+from grindvision_book.places import FIGURES
 
 JUDGED = (
     "judged: runs whose answers count for failures and errors; beyond the timed rounds, each of these was run once on"

@@ -16,7 +16,7 @@ from benchmarks import inputs, machine
 from benchmarks.peers.laps import Laps
 from benchmarks.races import Plan
 from grindvision.clouds import read_cloud
-from grindvision.vision.detection import Detection, detect
+from grindvision.vision.change.detection import Detection, detect
 
 POINT_BYTES = 24
 FEATURE_NUMBERS = 33

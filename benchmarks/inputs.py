@@ -12,13 +12,13 @@ import pandas as pd
 
 from benchmarks.racing import Arrays, Case
 from grindvision import cell, paper
-from grindvision.book.places import BUILD
 from grindvision.cell import StructuredLightScanner
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.files import write_text, write_whole
 from grindvision.geometry import move_points, rigid, rotation_about
-from grindvision.vision.normals import estimate_normals
-from grindvision.vision.voxel_grid import voxel_grid
+from grindvision.vision.surface.normals import estimate_normals
+from grindvision.vision.surface.voxel_grid import voxel_grid
+from grindvision_book.places import BUILD
 
 CACHE = BUILD / "benchmarks"
 

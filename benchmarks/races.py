@@ -243,7 +243,7 @@ STARTUP = Race(
         process(
             "one kernel on three points", "ours", "{python}", "-c",
             "import numpy as np; from grindvision import vision; vision.detect;"
-            " from grindvision.vision.voxel_grid import voxel_grid; voxel_grid(np.eye(3), 1.0)",
+            " from grindvision.vision.surface.voxel_grid import voxel_grid; voxel_grid(np.eye(3), 1.0)",
             about="the first call of a compiled kernel: what numba itself takes",
         ),
         process("python, nothing else", "baseline", "{python}", "-c", "pass"),

@@ -7,9 +7,9 @@ from pathlib import Path
 import nbformat
 from nbformat.v4 import new_output
 
-from grindvision.book.chapters import chapters
-from grindvision.book.places import FIGURES
-from grindvision.book.site import build_site
+from grindvision_book.chapters import chapters
+from grindvision_book.places import FIGURES
+from grindvision_book.site import build_site
 
 #: What a cell of chapter 07 is made to have printed.
 SAID = "the sum is two"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from grindvision.vision.groove_profile import BEND, DEPTH, LEFT, LEVEL, RIGHT, ROOT, TILT, profile_height
-from grindvision.vision.profile_fit import ROUNDS, SETTLED
+from grindvision.vision.seam.groove_profile import BEND, DEPTH, LEFT, LEVEL, RIGHT, ROOT, TILT, profile_height
+from grindvision.vision.seam.profile_fit import ROUNDS, SETTLED
 
 
 def fit_profiles(sections, start, spread, corners, noise_mm):

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
-from grindvision.vision.bead_course import walking_distances
+from grindvision.vision.change.centreline import walking_distances
 
 
 def test_walking_distances_are_dijkstra_s(rng):

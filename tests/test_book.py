@@ -15,11 +15,12 @@ import pandas as pd
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
-from grindvision import book, cli, paper
-from grindvision.book.agreement import disagreements
-from grindvision.book.answers import judged, verdict, write_scoreboard
-from grindvision.book.chapters import LONGEST, _environment, chapters, chosen, longest_first, rebuild
+import grindvision_book as book
+from grindvision import cli, paper
 from grindvision.errors import FileError, InputError
+from grindvision_book.agreement import disagreements
+from grindvision_book.answers import judged, verdict, write_scoreboard
+from grindvision_book.chapters import LONGEST, _environment, chapters, chosen, longest_first, rebuild
 
 EXPECTED = paper.expected()
 FIRST = EXPECTED.iloc[0]
@@ -190,7 +191,7 @@ def test_an_answer_without_a_number_or_with_an_unknown_kind_is_refused(figures, 
 
 def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
     save = (
-        "from grindvision import book\nimport pandas as pd\nbook.start('01')\n"
+        "import grindvision_book as book\nimport pandas as pd\nbook.start('01')\n"
         "book.save_table(pd.DataFrame({'x_mm': [1.0]}), 'one', 'Base frame; synthetic')"
     )
     notebook(tmp_path / "notebooks" / "01_good.ipynb", save)

@@ -9,13 +9,13 @@ import pytest
 import yaml
 from built_site import SAID, Page
 
-from grindvision.book.answers import scoreboard
-from grindvision.book.chapters import chapters
-from grindvision.book.places import FIGURES, ROOT
-from grindvision.book.site.chapter_pages import scoreboard_html
-from grindvision.book.site.findings import printed_numbers, rebuilt_numbers
-from grindvision.book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
-from grindvision.book.site.scenes import SCENES
+from grindvision_book.answers import scoreboard
+from grindvision_book.chapters import chapters
+from grindvision_book.places import FIGURES, ROOT
+from grindvision_book.site.chapter_pages import scoreboard_html
+from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
+from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
+from grindvision_book.site.scenes import SCENES
 
 pytestmark = pytest.mark.xdist_group("site")
 

@@ -11,8 +11,8 @@ from grindvision.cell.scanner_errors import sum_of_cosines
 from grindvision.cell.solids import box
 from grindvision.errors import InputError, NotRigidError, SightError
 from grindvision.geometry import fit_plane, inverse, move_points, rigid, rotation_about, turn_vectors
-from grindvision.vision.field_correction import calibrate_field
-from grindvision.vision.step_height import measure_step
+from grindvision.vision.depth_calibration.field_correction import calibrate_field
+from grindvision.vision.metrology.step_height import measure_step
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 

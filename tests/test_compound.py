@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 
 from grindvision import cell
-from grindvision.book.compound import (
+from grindvision.cell.experiment4 import printed_path
+from grindvision.geometry import angle_between, move_points
+from grindvision_book.compound import (
     ORIENTATIONS_DEG,
     SOURCES,
     compound_case,
@@ -14,9 +16,7 @@ from grindvision.book.compound import (
     spreads,
     workplace,
 )
-from grindvision.book.limits import displacement
-from grindvision.cell.experiment4 import printed_path
-from grindvision.geometry import angle_between, move_points
+from grindvision_book.limits import displacement
 
 pytestmark = pytest.mark.xdist_group("compound")  # one workplace, one plan, one cell
 

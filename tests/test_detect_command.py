@@ -9,7 +9,7 @@ from grinding_scene import arc_bead, pair, plate_height
 from grindvision.cli import main
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid
-from grindvision.vision.field_correction import FieldCorrection, write_field
+from grindvision.vision.depth_calibration.field_correction import FieldCorrection, write_field
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
-from grindvision.vision.bead_course import bead_course
-from grindvision.vision.bead_path import trace_bead
-from grindvision.vision.boxes import box_path, minimal_box
-from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.difference import Cluster, difference_paper, find_difference
-from grindvision.vision.heights import heights_above
-from grindvision.vision.surfels import build_surfels
+from grindvision.vision.change.centreline import bead_course
+from grindvision.vision.change.change_detection import Cluster, difference_paper, find_difference
+from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.oriented_box import box_path, minimal_box
+from grindvision.vision.change.ridge_path import trace_bead
+from grindvision.vision.surface.signed_distance import heights_above
+from grindvision.vision.surface.surfels import build_surfels
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from grinding_scene import arc_bead, pair, plate_height, scan, view
 
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.geometry import move_points, random_rotation, rigid
-from grindvision.vision import verification
-from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.doubts import plane_share
-from grindvision.vision.surfels import build_surfels
+from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.diagnostics import plane_share
+from grindvision.vision.registration import verification
+from grindvision.vision.surface.surfels import build_surfels
 
 
 @pytest.fixture(scope="module")

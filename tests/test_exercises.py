@@ -9,12 +9,12 @@ import nbformat
 import numpy as np
 import pytest
 
-from grindvision import book
-from grindvision.book.chapters import chapters
-from grindvision.book.exercises.checking import SLIPS, Exercise, exercises_of
-from grindvision.book.exercises.guide import FIRST, GUIDE, LAST, mistakes_block, write_guide
-from grindvision.book.exercises.student_copies import MASTERS, STUDENTS, student_copy, write_student_copies
+import grindvision_book as book
 from grindvision.errors import FileError, InputError
+from grindvision_book.chapters import chapters
+from grindvision_book.exercises.checking import SLIPS, Exercise, exercises_of
+from grindvision_book.exercises.guide import FIRST, GUIDE, LAST, mistakes_block, write_guide
+from grindvision_book.exercises.student_copies import MASTERS, STUDENTS, student_copy, write_student_copies
 
 MASTER_NOTEBOOKS = sorted(MASTERS.glob("*.ipynb"))
 CHAPTERS = [path.name[:2] for path in MASTER_NOTEBOOKS]
@@ -91,12 +91,12 @@ def test_student_copies_are_fresh(tmp_path: Path) -> None:
     assert [path.name for path in made] == [path.name for path in sorted(STUDENTS.glob("*.ipynb"))]
     for path in made:
         committed = (STUDENTS / path.name).read_text(encoding="utf-8")
-        assert path.read_text(encoding="utf-8") == committed, "stale: run python -m grindvision.book.exercises"
+        assert path.read_text(encoding="utf-8") == committed, "stale: run python -m grindvision_book.exercises"
 
 
 def test_the_teachers_guide_lists_every_exercise_and_every_mistake(tmp_path: Path) -> None:
     text = GUIDE.read_text(encoding="utf-8")
-    assert mistakes_block(CHAPTERS) in text, "stale: run python -m grindvision.book.exercises"
+    assert mistakes_block(CHAPTERS) in text, "stale: run python -m grindvision_book.exercises"
     by_hand = text.split(FIRST)[0]
     assert [task.number for task in EXERCISES if f" {task.number} " not in by_hand] == []
     (tmp_path / "guide.md").write_text(f"before\n{FIRST}\nold\n{LAST}\nafter\n", encoding="utf-8")

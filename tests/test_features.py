@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
-from grindvision.vision.fpfh import BINS, _bin_of_direction, compute_fpfh, mirrored_fpfh
-from grindvision.vision.normals import (
+from grindvision.vision.surface.fpfh import BINS, _bin_of_direction, compute_fpfh, mirrored_fpfh
+from grindvision.vision.surface.normals import (
     _covered_cells,
     estimate_normals,
     guess_viewpoint,
@@ -16,7 +16,7 @@ from grindvision.vision.normals import (
     orient_by_neighbours,
     seen_along,
 )
-from grindvision.vision.surfels import build_surfels, surface_area
+from grindvision.vision.surface.surfels import build_surfels, surface_area
 
 
 def plain_fpfh(points, normals, radius):

@@ -8,17 +8,23 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 
 from grindvision import cell
-from grindvision.book.waypoints import PLATES_MM, depth_left, plate_scans
 from grindvision.errors import DegenerateError, FileError, InputError
 from grindvision.geometry import fit_plane
-from grindvision.vision.field_correction import (
+from grindvision.vision.depth_calibration.field_correction import (
     FieldCorrection,
     calibrate_field,
     held_out_rms_mm,
     read_field,
     write_field,
 )
-from grindvision.vision.grid_smoothing import fitting_stiffness, on_axes, roughness, smooth_grid, spline_matrix
+from grindvision.vision.depth_calibration.grid_smoothing import (
+    fitting_stiffness,
+    on_axes,
+    roughness,
+    smooth_grid,
+    spline_matrix,
+)
+from grindvision_book.waypoints import PLATES_MM, depth_left, plate_scans
 
 STEPS_MM = np.array([0.0, 20.0, 40.0, 60.0])
 FIRST_MM = 420.0

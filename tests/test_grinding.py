@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from grindvision.book.grinding import Wheel, grind
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision_book.grinding import Wheel, grind
 
 HEIGHT, WIDTH = 1.5, 4.0
 WHEEL = Wheel(radius_mm=15.0, width_mm=6.0)

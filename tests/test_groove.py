@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import rotation_about
-from grindvision.vision.groove import find_grooves
-from grindvision.vision.groove_profile import Corners, Sections, fit_profiles, profile_height
-from grindvision.vision.height_field import closed, coarser, rasterise, smoothed
-from grindvision.vision.seam_curve import build_curve, lay_straight
+from grindvision.vision.seam.groove import find_grooves
+from grindvision.vision.seam.groove_profile import Corners, Sections, fit_profiles, profile_height
+from grindvision.vision.seam.height_field import closed, coarser, rasterise, smoothed
+from grindvision.vision.seam.seam_curve import build_curve, lay_straight
 
 
 @pytest.mark.parametrize("kind", ["line", "curve", "box", "cylinder"])

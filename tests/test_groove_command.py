@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.errors import GrindvisionWarning, InputError
-from grindvision.vision.weld import trace_weld
+from grindvision.vision.seam.weld import trace_weld
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 from grindvision.cell import weld_scene
 from grindvision.errors import GrindvisionWarning
-from grindvision.vision.weld import trace_weld
+from grindvision.vision.seam.weld import trace_weld
 
 
 def gap(rng, gap_mm, high_mm, noise_mm, shadow=0.0):

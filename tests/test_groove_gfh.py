@@ -6,10 +6,10 @@ from groove_scenes import overlap, straight_groove
 
 from grindvision.cell import weld_scene
 from grindvision.errors import DegenerateError, InputError, NoGrooveError
-from grindvision.vision.clusters import euclidean_clusters
-from grindvision.vision.gfh import angle_histograms, base_normal, groove_features, plane_normals, vote
-from grindvision.vision.gfh_groove import GfhSettings, find_groove_gfh
-from grindvision.vision.mls import smooth_mls
+from grindvision.vision.seam.gfh import angle_histograms, base_normal, groove_features, plane_normals, vote
+from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
+from grindvision.vision.seam.mls import smooth_mls
+from grindvision.vision.surface.clustering import euclidean_clusters
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from groove_scenes import cloud, grid, straight_groove, vee
 
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError
-from grindvision.vision.groove import find_grooves
-from grindvision.vision.seam_path import descended_median, root_path, slab_path, weiszfeld_median
+from grindvision.vision.seam.groove import find_grooves
+from grindvision.vision.seam.seam_path import descended_median, root_path, slab_path, weiszfeld_median
 
 
 def test_way_points_lie_on_the_root_at_equal_distances(rng):

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from grindvision.errors import InputError
-from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest, within_radius
 
 

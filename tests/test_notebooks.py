@@ -5,9 +5,9 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from grindvision.book.agreement import disagreements
-from grindvision.book.chapters import chapters, rebuild
-from grindvision.book.places import FIGURES, NOTEBOOKS
+from grindvision_book.agreement import disagreements
+from grindvision_book.chapters import chapters, rebuild
+from grindvision_book.places import FIGURES, NOTEBOOKS
 
 COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
 COMMITTED = [path for path in COMMITTED if ".ipynb_checkpoints" not in path.parts]

@@ -9,12 +9,12 @@ import pytest
 from grinding_scene import arc_bead, pair
 from groove_scenes import cloud, grid
 
-from grindvision.book import own_files
-from grindvision.book.places import NOTEBOOKS
 from grindvision.clouds import write_ply
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
-from grindvision.vision.groove_doubts import LEAST_BOTH_SIDES
+from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES
+from grindvision_book import own_files
+from grindvision_book.places import NOTEBOOKS
 
 
 def test_files_are_all_given_or_all_simulated(tmp_path):

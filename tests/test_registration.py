@@ -16,18 +16,18 @@ from grindvision.geometry import (
     small_motion,
     turn_vectors,
 )
-from grindvision.vision import plane_icp
-from grindvision.vision.agreement import agreeing_share, agreement
-from grindvision.vision.bending import refine_bent
-from grindvision.vision.detection import DetectOptions, detect
-from grindvision.vision.icp import icp_generalised, icp_points
-from grindvision.vision.keypoints import most_similar
-from grindvision.vision.normals import orient_to_viewpoint
-from grindvision.vision.plane_icp import icp_planes, plane_residuals, solve_definite
-from grindvision.vision.proposals import distinct_poses, propose_poses
-from grindvision.vision.sac_ia import huber, refine_pose, sac_ia_paper
-from grindvision.vision.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
-from grindvision.vision.verification import choose_pose
+from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.registration import plane_icp
+from grindvision.vision.registration.agreement import agreeing_share, agreement
+from grindvision.vision.registration.deformable import refine_bent
+from grindvision.vision.registration.global_registration import distinct_poses, propose_poses
+from grindvision.vision.registration.icp import icp_generalised, icp_points
+from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals, solve_definite
+from grindvision.vision.registration.sac_ia import huber, refine_pose, sac_ia_paper
+from grindvision.vision.registration.verification import choose_pose
+from grindvision.vision.surface.keypoints import most_similar
+from grindvision.vision.surface.normals import orient_to_viewpoint
+from grindvision.vision.surface.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
 
 
 def errors(T_found, T_true, at):

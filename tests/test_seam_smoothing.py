@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from grindvision.vision.seam_smoothing import GAP, JUDGED, OUTLIER, PERIOD, smooth_along, smooth_to_noise
+from grindvision.vision.seam.seam_smoothing import GAP, JUDGED, OUTLIER, PERIOD, smooth_along, smooth_to_noise
 
 STEP_MM = 0.7
 ALONG_MM = STEP_MM * np.arange(300)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from grindvision.book.site.scenes import SCENES
+from grindvision_book.site.scenes import SCENES
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need the package playwright")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

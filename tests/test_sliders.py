@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
-from grindvision import book
-from grindvision.book import sliders
+import grindvision_book as book
 from grindvision.errors import InputError
+from grindvision_book import sliders
 
 
 def draw(axes: Axes, exponent: float) -> pd.DataFrame:

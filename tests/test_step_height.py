@@ -5,7 +5,7 @@ import pytest
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import move_points, random_rotation, rigid
-from grindvision.vision.step_height import measure_step
+from grindvision.vision.metrology.step_height import measure_step
 
 
 def step_cloud(rng, noise_mm=0.0, height_mm=12.5):

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from grindvision.book.designs import one_at_a_time, rank_sensitivity, space_filling
-from grindvision.book.study import case_rng, run_study
-from grindvision.book.study_rows import RowsFile
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError
+from grindvision_book.designs import one_at_a_time, rank_sensitivity, space_filling
+from grindvision_book.study import case_rng, run_study
+from grindvision_book.study_rows import RowsFile
 
 CASES = pd.DataFrame({"scale": [0.5, 1.0, 2.0, 4.0, 8.0, 16.0], "label": list("abcdef")})
 
@@ -219,7 +219,7 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
 
 def test_the_book_stays_light_to_import():
     heavy = "{'dask', 'distributed', 'joblib', 'pandas'}"
-    light = f"import sys; import grindvision.book.study; print({heavy} & set(sys.modules))"
+    light = f"import sys; import grindvision_book.study; print({heavy} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", light], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "set()"
 

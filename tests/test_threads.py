@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from grindvision.vision.threads import side_by_side
+from grindvision.parallel import side_by_side
 
 
 def test_results_come_in_order_as_those_of_map():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from grindvision.vision.valley_parts import connected_parts, inner_radius
+from grindvision.vision.seam.valley_parts import connected_parts, inner_radius
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 1.0])

@@ -5,7 +5,7 @@ import open3d as o3d
 import pytest
 
 from grindvision.errors import DegenerateError, InputError
-from grindvision.vision.voxel_grid import voxel_grid
+from grindvision.vision.surface.voxel_grid import voxel_grid
 
 
 def plain_voxel_grid(points, size, origin):

@@ -6,16 +6,16 @@ import numpy as np
 
 from benchmarks.peers.laps import Laps
 from grindvision.clouds import read_cloud
-from grindvision.vision import detection
-from grindvision.vision.difference import find_difference
-from grindvision.vision.fpfh import compute_fpfh
-from grindvision.vision.icp import FineRegistration, icp_points
-from grindvision.vision.normals import orient_to_viewpoint
-from grindvision.vision.plane_icp import icp_planes
-from grindvision.vision.scan import choose_resolution, coarser, prepare_pair
-from grindvision.vision.surfels import build_surfels
-from grindvision.vision.verification import choose_pose
-from grindvision.vision.voxel_grid import voxel_grid
+from grindvision.vision.change import detection
+from grindvision.vision.change.change_detection import find_difference
+from grindvision.vision.registration.icp import FineRegistration, icp_points
+from grindvision.vision.registration.plane_icp import icp_planes
+from grindvision.vision.registration.verification import choose_pose
+from grindvision.vision.surface.fpfh import compute_fpfh
+from grindvision.vision.surface.normals import orient_to_viewpoint
+from grindvision.vision.surface.scan import choose_resolution, coarser, prepare_pair
+from grindvision.vision.surface.surfels import build_surfels
+from grindvision.vision.surface.voxel_grid import voxel_grid
 
 
 def detect(sample: str, test: str) -> dict:

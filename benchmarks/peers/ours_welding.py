@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.peers.laps import Laps
 from grindvision.clouds import read_cloud
-from grindvision.vision.weld import trace_weld
+from grindvision.vision.seam.weld import trace_weld
 
 
 def groove(cloud: str, variant: str) -> dict:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from grindvision.book.places import BUILD
 from grindvision.errors import GrindvisionError
+from grindvision_book.places import BUILD
 
 SOURCES = Path(__file__).parent
 PROGRAMS = BUILD / "peers"

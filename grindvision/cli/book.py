@@ -17,9 +17,9 @@ def run(options: argparse.Namespace) -> int:
     """Run it; returns 1 when a chapter failed."""
     from tqdm import tqdm
 
-    from grindvision.book.answers import scoreboard, summary
-    from grindvision.book.chapters import Outcome, chosen, rebuild
-    from grindvision.book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
+    from grindvision_book.answers import scoreboard, summary
+    from grindvision_book.chapters import Outcome, chosen, rebuild
+    from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
 
     figures = FAST_FIGURES if options.fast else FIGURES
     total = len(chosen(options.only))
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     print("\n" + shown.to_string(index=False, na_rep="", float_format="{:.4g}".format, max_colwidth=60))
     print(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}")
     if options.site:
-        from grindvision.book.site import build_site
+        from grindvision_book.site import build_site
 
         page = build_site(BUILD / "fast" if options.fast else BUILD, figures)
         print(f"HTML book: {page}")

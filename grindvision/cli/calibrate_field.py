@@ -14,7 +14,7 @@ from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
-    from grindvision.vision.field_correction import FieldCorrection
+    from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 EPILOG = """\
 Scan one flat plate that fills the view; move it (or the scanner) along its normal by known steps, scan again. The steps
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from grindvision.clouds import finite_points
-    from grindvision.vision.field_correction import calibrate_field, held_out_rms_mm, write_field
+    from grindvision.vision.depth_calibration.field_correction import calibrate_field, held_out_rms_mm, write_field
 
     with Run(options, ("plates",), ("numpy", "scipy", "numba", "matplotlib"), 5) as work:
         with work.stage("read"):

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
-    from grindvision.vision.detection import Detection
-    from grindvision.vision.field_correction import FieldCorrection
+    from grindvision.vision.change.detection import Detection
+    from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.clouds import finite_points, write_ply
     from grindvision.files import write_text
     from grindvision.geometry import move_points, turn_vectors
-    from grindvision.vision.detection import STAGES, DetectOptions, detect
+    from grindvision.vision.change.detection import STAGES, DetectOptions, detect
 
     field = read_correction(options.field_correction, options.test_viewpoint)
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)

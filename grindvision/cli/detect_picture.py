@@ -15,7 +15,7 @@ from grindvision.files import write_whole
 from grindvision.geometry import inverse, move_points
 
 if TYPE_CHECKING:
-    from grindvision.vision.detection import Detection
+    from grindvision.vision.change.detection import Detection
 
 SAMPLE, TEST, HIGHLIGHT, GREY = "#0072B2", "#E69F00", "#D55E00", "#999999"
 

@@ -24,7 +24,7 @@ from grindvision.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.vision.weld import Weld
+    from grindvision.vision.seam.weld import Weld
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
 STEADY_MM = 8.0
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
     from grindvision.motion.trajectory import tool_trajectory
-    from grindvision.vision.weld import trace_weld
+    from grindvision.vision.seam.weld import trace_weld
 
     job = robot_job(options)
     field = read_correction(options.field_correction, options.viewpoint)

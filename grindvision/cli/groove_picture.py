@@ -14,7 +14,7 @@ from grindvision.cli.verdict import draw_verdict
 from grindvision.files import write_whole
 
 if TYPE_CHECKING:
-    from grindvision.vision.weld import Weld
+    from grindvision.vision.seam.weld import Weld
 
 GROOVE, PATH, GREY = "#0072B2", "#D55E00", "#bbbbbb"
 MOST_DOTS = 40_000

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
-    from grindvision.vision.field_correction import FieldCorrection
+    from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 CLOUD_FORMATS = "PLY, PCD, XYZ, ASC, TXT, PTS, CSV, NPY, NPZ, STL or OBJ"
 
@@ -67,7 +67,7 @@ def read_correction(path: str | None, viewpoint: Sequence[float] | None) -> Fiel
     if path is None:
         return None
     check_own_frame(viewpoint)
-    from grindvision.vision.field_correction import read_field
+    from grindvision.vision.depth_calibration.field_correction import read_field
 
     return read_field(path)
 

@@ -24,21 +24,21 @@ def run(options: argparse.Namespace) -> int:
     """Run the study and say what came out."""
     import pandas as pd
 
-    from grindvision.book.study import run_study
     from grindvision.errors import InputError
+    from grindvision_book.study import run_study
 
     if options.cases < 1 or options.seed < 0 or options.jobs == 0:
         raise InputError(
             f"cases {options.cases}, seed {options.seed}, jobs {options.jobs}: give at least 1, 0, 1 (or -1)"
         )
     if options.study == "compound":
-        from grindvision.book.compound import compound_case as measure
+        from grindvision_book.compound import compound_case as measure
 
         cases = pd.DataFrame({"stream": range(options.cases)})
     else:
-        from grindvision.book.designs import space_filling
-        from grindvision.book.limits import RANGES
-        from grindvision.book.limits import path_case as measure
+        from grindvision_book.designs import space_filling
+        from grindvision_book.limits import RANGES
+        from grindvision_book.limits import path_case as measure
 
         cases = space_filling(RANGES, options.cases, options.seed)
     rows = run_study(measure, cases, options.seed, options.output, options.scheduler, options.jobs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry.cell_grid import build_cells
+from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
-from grindvision.geometry.cell_grid import AXIS_CELLS, CellGrid, cell_key, find_slot
+from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, cell_key, find_slot
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

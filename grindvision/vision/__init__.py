@@ -1,5 +1,10 @@
 """A cloud in, path points out. Never sees the virtual cell or the papers.
 
+Rooms, in the order data flows through them: ``surface`` (cloud -> voxels, normals, surfels, features),
+``registration`` (two surfaces -> pose), ``change`` (a pose -> difference -> path points), ``seam`` (cloud -> grooves
+-> way points); beside them ``depth_calibration`` (flat plates -> the scanner's depth error) and ``metrology``
+(heights of steps).
+
 Names are fetched from their modules when first used; what is not listed here is imported from its module.
 """
 
@@ -9,19 +14,19 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "bead_path": ("BeadPath", "trace_bead"),
-    "detection": ("DetectOptions", "Detection", "detect"),
-    "difference": ("Difference", "difference_paper", "find_difference"),
-    "field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
-    "gfh_groove": ("GfhSettings", "find_groove_gfh"),
-    "groove": ("DetectedGroove", "GrooveDetection", "find_grooves"),
-    "icp": ("icp_generalised", "icp_points"),
-    "plane_icp": ("icp_planes",),
-    "proposals": ("propose_poses",),
-    "sac_ia": ("sac_ia_paper",),
-    "seam_path": ("root_path", "slab_path"),
-    "verification": ("choose_pose",),
-    "weld": ("Weld", "trace_weld"),
+    "registration.icp": ("icp_generalised", "icp_points"),
+    "registration.plane_icp": ("icp_planes",),
+    "registration.global_registration": ("propose_poses",),
+    "registration.sac_ia": ("sac_ia_paper",),
+    "registration.verification": ("choose_pose",),
+    "change.ridge_path": ("BeadPath", "trace_bead"),
+    "change.detection": ("DetectOptions", "Detection", "detect"),
+    "change.change_detection": ("Difference", "difference_paper", "find_difference"),
+    "seam.gfh_groove": ("GfhSettings", "find_groove_gfh"),
+    "seam.groove": ("DetectedGroove", "GrooveDetection", "find_grooves"),
+    "seam.seam_path": ("root_path", "slab_path"),
+    "seam.weld": ("Weld", "trace_weld"),
+    "depth_calibration.field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

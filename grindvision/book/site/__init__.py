@@ -1,5 +1,0 @@
-"""The HTML book: its pages, pictures and 3D scenes; it needs no network to build or to read."""
-
-from grindvision.book.site.building import build_site
-
-__all__ = ["build_site"]

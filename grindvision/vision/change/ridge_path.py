@@ -1,0 +1,224 @@
+"""Path points along the ridge of a bead (ours, in place of section 3.6's boxes).
+
+The bead's rough course comes from ``bead_course``. The ridge is where the height over the good surface is
+greatest across the bead: the top of a quartic fitted across, which uneven sampling does not pull aside as it does a
+centroid, and which fits round, bell-shaped and lopsided beads as well as a parabola.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import InputError, TooSmallError
+from grindvision.geometry.curves import Curve
+from grindvision.vision.change.centreline import bead_course
+from grindvision.vision.change.change_detection import Cluster
+
+Floats = NDArray[np.float64]
+
+REACH_WIDTHS = 1.2
+"""A station's cross-section is fitted to what lies within so many widths of it along the bead."""
+
+SHAPE_WIDTHS = 5.0
+"""Over so many widths to either side a bead keeps the shape of its cross-section well enough for it to be averaged."""
+
+TOP_SHARE = 0.05
+"""The ridge is the middle of what lies within this share of the top's height: a flat top has no vertex of its own."""
+
+POWERS = np.arange(1, 5)
+"""Of the distance across, in widths: the terms of a cross-section; where one flank is not shown, the first two."""
+
+FARTHEST = 0.36
+"""So many widths from the course the ridge may lie; what seems farther is a flank without a top."""
+
+ACROSS = np.linspace(-FARTHEST, FARTHEST, 101)
+ACROSS_POWERS = ACROSS[:, None] ** POWERS
+
+FLANK, LEAST_FLANK = 0.2, 0.05
+"""A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
+
+
+@dataclass(frozen=True)
+class BeadPath:
+    """Path of one bead, frame of the test scan.
+
+    ``points`` (n, 3) on the ridge and unit ``normals`` (n, 3) of the good surface there, pointing off the part;
+    ``ridge`` (M, 3) the whole curve; ``closed`` whether it comes back to its start; ``length_mm``, ``width_mm`` at half
+    height, ``height_mm`` of the ridge over the good surface (median).
+    """
+
+    points: Floats
+    normals: Floats
+    ridge: Floats
+    closed: bool
+    length_mm: float
+    width_mm: float
+    height_mm: float
+
+    def __str__(self) -> str:
+        shape = "closed" if self.closed else "open"
+        size = f"{self.length_mm:.1f} mm long, {self.width_mm:.1f} wide, {self.height_mm:.2f} high"
+        return f"{shape} bead, {size}: {len(self.points)} points"
+
+    def tool_axes(self) -> Floats:
+        """Directions (n, 3) in which the tool points: opposite to the normals."""
+        return -self.normals
+
+
+def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
+    """Follow the ridge of a bead and place ``points`` on it, each in the middle of an equal part of its length.
+
+    An open bead is walked from its end with the smaller x; a closed one from its point of smallest x, counterclockwise
+    about its normal.
+
+    Raises:
+        InputError: fewer than one point. TooSmallError: too few points to follow. DegenerateError: the bead branches.
+    """
+    if points < 1:
+        raise InputError(f"{points} path points asked for; at least 1 is needed")
+    curve, closed, width = bead_course(cluster)
+    stations = Curve(curve, closed)
+    for _ in range(2):
+        stations = Curve(_smoothed(_ridge(cluster, stations, width)[0], closed), closed)
+    feet, normals, heights = _ridge(cluster, stations, width)
+    ridge = Curve(feet + heights[:, None] * normals, closed)
+    start, end = (0.0, ridge.length_mm) if closed else _ends(cluster, ridge)
+    at = start + (end - start) * ((np.arange(points) + (0.0 if closed else 0.5)) / points)
+    chosen = ridge.at(at)
+    up = ridge.smooth(normals, at)
+    dense = ridge.at(np.linspace(start, end, max(int((end - start) / (0.1 * width)), 2 * points, 20)))
+    across = cluster.area_mm2 / max(end - start, 1e-9)
+    return BeadPath(
+        chosen, up, dense, closed, float(end - start), float(min(across, 10 * width)), float(np.median(heights))
+    )
+
+
+def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+    """Ridge over stations along the curve: feet (M, 3) on the good surface, its normals (M, 3), ridge heights (M,).
+
+    Points are taken in the curve's own coordinates: arc length s, distance b across, height h over the good surface.
+    Around each station h = g(b - t) + c0 + c1 s + c2 s^2 + c3 s b is fitted. The section g, a quartic, is pooled over
+    ``SHAPE_WIDTHS`` along the bead, the station's own is its shift t across: often one flank is in shadow, and the
+    slope of the other alone cannot tell a ridge farther off from a rounder one. The ridge is the middle of g's top.
+    """
+    feet = cluster.points - cluster.heights_mm[:, None] * cluster.normals
+    s_all = stations.arc_of(feet)
+    near = np.clip(s_all, 0, stations.length_mm)
+    offsets = feet - stations.at(near)
+    sides = np.cross(cluster.normals, stations.tangents(near))
+    b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
+    count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
+    arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
+    windows = [(arc, used) for arc in arcs if (used := _window(s_all, b_all, arc, stations, width)).sum() >= 12]
+    if len(windows) < 2:
+        raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
+    arcs = np.array([arc for arc, _ in windows])
+    sections = [
+        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], width)
+        for arc, used in windows
+    ]
+    laterals, heights = _ridges(sections, _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width), width)
+    tangents, places = stations.tangents(arcs), stations.at(arcs)
+    normals = np.array([one.weights @ cluster.normals[used] for one, (_, used) in zip(sections, windows, strict=True)])
+    normals -= (normals * tangents).sum(axis=1, keepdims=True) * tangents
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    depths = [
+        np.average(offsets[used] @ up, weights=one.weights)
+        for one, up, (_, used) in zip(sections, normals, windows, strict=True)
+    ]
+    places = places + np.array(depths)[:, None] * normals + laterals[:, None] * np.cross(normals, tangents)
+    return places, normals, heights
+
+
+def _along(s: Floats, arc: float, stations: Curve) -> Floats:
+    """Arc lengths from a station, the shorter way round where the curve is closed."""
+    away = s - arc
+    return away - stations.length_mm * np.round(away / stations.length_mm) if stations.closed else away
+
+
+def _window(s: Floats, b: Floats, arc: float, stations: Curve, width: float) -> NDArray[np.bool_]:
+    """The points (N,) that a station's cross-section is fitted to."""
+    return (np.abs(_along(s, arc, stations)) < REACH_WIDTHS * width) & (np.abs(b) < 0.5 * width)
+
+
+class _Section:
+    """The bead's cross-section at one station, fitted to points by their s, b and h (see ``_ridge``)."""
+
+    def __init__(self, s: Floats, b: Floats, h: Floats, width: float) -> None:
+        self.weights = (1 - (np.abs(s) / (REACH_WIDTHS * width)) ** 3) ** 3
+        self.width = width
+        s, b = s / width, b / width
+        squared = b * b
+        terms = np.column_stack([np.ones_like(s), s, s * s, s * b, b, squared, squared * b, squared * squared])
+        weighted = terms * self.weights[:, None]
+        self.normal, self.right = terms.T @ weighted, weighted.T @ h
+        self.flanks = np.array([self.weights @ (side * b > FLANK) for side in (-1, 1)]) / self.weights.sum()
+
+
+def _ridges(sections: list[_Section], shapes: Floats, width: float) -> tuple[Floats, Floats]:
+    """Where across the ridges lie (M,), and their heights (M,), given the sections' shapes (M, 4)."""
+    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
+    free = np.tile(np.eye(8)[:, :5], (len(sections), 1, 1))
+    free[:, [0, 4, 5, 6], 4] = -POWERS * shapes  # a shift adds -g'(b)
+    left = right - (normal[:, :, 4:] @ shapes[:, :, None])[:, :, 0]
+    free_rows = free.transpose(0, 2, 1)
+    found = np.linalg.pinv(free_rows @ normal @ free, rcond=1e-12) @ (free_rows @ left[:, :, None])
+    heights = found[:, 0] + shapes @ ACROSS_POWERS.T
+    tops = np.array([_middle_of_top(ACROSS, one) for one in heights])
+    laterals = np.clip(tops + found[:, 4, 0], -FARTHEST, FARTHEST)
+    return laterals * width, np.array([np.interp(top, ACROSS, one) for top, one in zip(tops, heights, strict=True)])
+
+
+def _middle_of_top(across: Floats, heights: Floats) -> float:
+    """Middle of the places (K,) whose heights (K,) come within ``TOP_SHARE`` of the highest."""
+    level = heights.max() - TOP_SHARE * abs(heights.max())
+    high = np.flatnonzero(heights >= level)
+    ends = []
+    for last, beyond in ((high[0], high[0] - 1), (high[-1], high[-1] + 1)):
+        inside = 0 <= beyond < len(across)
+        way = (heights[last] - level) / (heights[last] - heights[beyond]) if inside else 0.0
+        ends.append(across[last] + way * (across[1] - across[0]) * (beyond - last))
+    return float(sum(ends)) / 2
+
+
+def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
+    """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
+    equations, rights = _shape_equations(sections)
+    flanks = np.array([section.flanks for section in sections])
+    away = np.abs(np.array([_along(arcs, arc, stations) for arc in arcs]))
+    weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
+    weights /= weights.sum(axis=1, keepdims=True)
+    equations, rights = np.tensordot(weights, equations, 1), weights @ rights
+    shapes, shown = np.zeros(rights.shape), (weights @ flanks > LEAST_FLANK).all(axis=1)
+    for some, terms in ((shown, len(POWERS)), (~shown, 2)):
+        inverses = np.linalg.pinv(equations[some, :terms, :terms], rcond=1e-9)
+        shapes[some, :terms] = (inverses @ rights[some, :terms, None])[:, :, 0]
+    shapes[~shown & (shapes[:, 1] >= 0)] = 0.0  # no ridge shows; the course stays where it is
+    return shapes
+
+
+def _shape_equations(sections: list[_Section]) -> tuple[Floats, Floats]:
+    """Normal equations (M, 4, 4) and (M, 4) of the sections' shapes, whatever the other terms are."""
+    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
+    others = np.linalg.pinv(normal[:, :4, :4], rcond=1e-12) @ normal[:, :4, 4:]
+    rights = right[:, 4:] - (others.transpose(0, 2, 1) @ right[:, :4, None])[:, :, 0]
+    return normal[:, 4:, 4:] - normal[:, 4:, :4] @ others, rights
+
+
+def _smoothed(places: Floats, closed: bool) -> Floats:
+    """Places (M, 3) averaged with their neighbours in the ratio 1 : 2 : 1; ends of an open curve stay."""
+    before, after = np.roll(places, 1, axis=0), np.roll(places, -1, axis=0)
+    mean = (before + 2 * places + after) / 4
+    if not closed:
+        mean[[0, -1]] = places[[0, -1]]
+    return mean
+
+
+def _ends(cluster: Cluster, ridge: Curve) -> tuple[float, float]:
+    """Arc lengths between which the bead stands at least half as high as its ridge."""
+    high = cluster.heights_mm > 0.5 * cluster.peak_mm
+    arcs = ridge.arc_of(cluster.points[high])
+    return float(np.quantile(arcs, 0.005)), float(np.quantile(arcs, 0.995))

@@ -1,0 +1,309 @@
+"""Field calibration of a scanner on a flat plate: what the plate seems to bend is the scanner's, and is taken off."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import FileError, InputError
+from grindvision.files import write_whole
+from grindvision.geometry import check_points, fit_plane, vector_angle
+from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffness, on_axes, smooth_grid, spline_matrix
+
+Floats = NDArray[np.float64]
+
+#: Bins along the longer side of the field, at most, and points of a plate in a bin on average, at least.
+MOST_BINS = 64
+POINTS_PER_BIN = 9
+
+#: The result's grid is finer than the bins: then straight lines between its nodes follow the spline.
+FINER = 2
+
+#: Points farther from their plate than this many standard deviations are not of the plate.
+STRAY = 6.0
+
+#: Points that are plenty for a plane.
+PLENTY = 20_000
+
+#: Plates may differ from what is said of them by this much, mm and share: more is a mistake, not a scanner's error.
+DOUBT_MM, DOUBT_SHARE, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
+
+LARGEST_NODES = 20_000_000
+
+
+@dataclass(frozen=True)
+class FieldCorrection:
+    """Depth error over the measured volume, on a regular grid of the slopes x/z and y/z and of the distance.
+
+    ``error_grid_mm`` (U, V, D) from ``low`` (3,) to ``high`` (3,): x/z, y/z, and the distance in mm along ``normal``
+    (3,), the normal of the plate that taught it, scanner frame.
+    """
+
+    error_grid_mm: Floats
+    low: Floats
+    high: Floats
+    normal: Floats
+
+    def error_mm(self, points: ArrayLike) -> Floats:
+        """Expected depth error (N,) at measured points (N, 3), scanner frame; outside the volume as at its rim."""
+        return self._interpolated(self._place(points))
+
+    def apply(self, points: ArrayLike) -> Floats:
+        """Corrected points (N, 3), each moved along its ray."""
+        points = np.asarray(points, dtype=float)
+        return points * (1 - self.error_mm(points) / points[:, 2])[:, None]
+
+    def holds(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Marks the points (N, 3) inside the calibrated volume, a single plate's being without end in depth."""
+        place, last = self._place(points), 3 if self.high[2] > self.low[2] else 2
+        low, high = self.low[:last, None], self.high[:last, None]
+        slack = 0.01 * (high - low)
+        return ((place[:last] >= low - slack) & (place[:last] <= high + slack)).all(axis=0)
+
+    def _place(self, points: ArrayLike) -> Floats:
+        points = np.asarray(points, dtype=float)
+        return np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], points @ self.normal])
+
+    def _interpolated(self, place: Floats) -> Floats:
+        intervals = np.subtract(self.error_grid_mm.shape, 1)
+        per_unit = intervals / np.where(intervals > 0, self.high - self.low, 1.0)
+        return _trilinear(place, self.error_grid_mm, self.low, per_unit)
+
+    def __str__(self) -> str:
+        rms = np.sqrt(np.mean(self.error_grid_mm**2))
+        return f"field correction of {rms:.3f} mm rms from {self.low[2]:.0f} to {self.high[2]:.0f} mm"
+
+
+@dataclass(frozen=True)
+class _Plates:
+    """Binned plates: depth errors (U, V, D) in mm, weights 0 to 1, nodes of the axes in mm at the ``middle_mm``."""
+
+    error_mm: Floats
+    weights: Floats
+    nodes: list[Floats]
+    normal: Floats
+    middle_mm: float
+    low: Floats
+    high: Floats
+
+
+def calibrate_field(
+    plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None = None
+) -> FieldCorrection:
+    """Learn a scanner's depth error from scans of one flat plate that was moved along its normal by known steps.
+
+    The scans are binned over the field, and a smoothing spline over field and distance goes through the bins, as stiff
+    as the data ask for. One plate shows the bend of the field at its distance; two or more also show the scale in
+    depth and how the bend changes. Waves along the depth that are shorter than two steps cannot be seen.
+
+    What flat plates cannot show: a tilt of the whole field, which looks like a tilted plate, and, without
+    ``distance_mm``, one offset of all depths. The first is a rotation of the scanner frame, the second nearly a shift
+    of it; a hand-eye calibration on corrected clouds takes up both. A random error of the steps stays in the correction
+    in part: 0.02 mm per step gives about as much.
+
+    Args:
+        plates: clouds (N, 3) of the plate in the scanner frame, mm; each should fill the view.
+        steps_mm: how much farther than the first each plate stands, along its normal; 0 for the first.
+        distance_mm: from the scanner's origin to the first plate along its normal, where it is known.
+
+    Raises:
+        InputError: steps that do not belong to the plates, repeat, or contradict the points; plates tilted against each
+            other; a distance that contradicts the points; points behind the scanner.
+        DegenerateError: too few points.
+    """
+    binned = _binned(plates, steps_mm, distance_mm)
+    stiffness = fitting_stiffness(binned.error_mm, binned.weights, binned.nodes)
+    field = smooth_grid(binned.error_mm, binned.weights, binned.nodes, stiffness)
+    at, low, high = binned.nodes[2], binned.low, binned.high
+    bins = np.array([*field.shape[:2], 1 + (at[-1] - at[0]) / np.diff(binned.nodes[0]).mean()])
+    fine = [
+        np.linspace(start, end, int(np.ceil(FINER * count)) if end > start else 1)
+        for start, end, count in zip(low, high, bins, strict=True)
+    ]
+    in_mm = (fine[0] * binned.middle_mm, fine[1] * binned.middle_mm, fine[2])
+    grid = on_axes([spline_matrix(nodes, places) for nodes, places in zip(binned.nodes, in_mm, strict=True)], field)
+    return _at_measured(FieldCorrection(grid, low, high, binned.normal), fine)
+
+
+def held_out_rms_mm(plates: Sequence[ArrayLike], steps_mm: Sequence[float]) -> tuple[float, float]:
+    """How well the other plates tell a plate: rms of its bins off flat, before and after a correction without it.
+
+    Every plate but the nearest and the farthest is left out in turn; the noise of a bin is in both numbers.
+
+    Raises:
+        InputError: fewer than three plates, and see ``calibrate_field``.
+    """
+    if len(plates) < 3:
+        raise InputError(f"{len(plates)} plates; to leave one out takes at least 3")
+    binned = _binned(plates, steps_mm, None)
+    stiffness = fitting_stiffness(binned.error_mm, binned.weights, binned.nodes)
+    before, after, weight = 0.0, 0.0, 0.0
+    for k in range(1, len(plates) - 1):
+        weights = binned.weights.copy()
+        weights[:, :, k] = 0.0
+        left = binned.error_mm - smooth_grid(binned.error_mm, weights, binned.nodes, stiffness)
+        before += float((binned.weights * binned.error_mm**2)[:, :, k].sum())
+        after += float((binned.weights * left**2)[:, :, k].sum())
+        weight += float(binned.weights[:, :, k].sum())
+    return (before / weight) ** 0.5, (after / weight) ** 0.5
+
+
+def write_field(correction: FieldCorrection, path: str | Path) -> None:
+    """Write a correction as a .npz file.
+
+    Raises:
+        FileError: the folder cannot be written to.
+    """
+    names = ("error_grid_mm", "low", "high", "normal")
+    with write_whole(path) as temporary:
+        np.savez_compressed(temporary, **dict(zip(names, astuple(correction), strict=True)))
+
+
+def read_field(path: str | Path) -> FieldCorrection:
+    """Read a correction that ``write_field`` wrote.
+
+    Raises:
+        FileError: missing, damaged, or no field correction.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > 8 * LARGEST_NODES:
+                raise FileError(f"{path}: too large for a field correction; check the path")
+        with np.load(path, allow_pickle=False) as file:
+            grid, low, high, normal = (
+                np.asarray(file[name], dtype=float) for name in ("error_grid_mm", "low", "high", "normal")
+            )
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
+    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise FileError(f"{path}: not a readable field correction ({reason}); make it again") from None
+    shapes = grid.ndim == 3 and low.shape == high.shape == normal.shape == (3,) and grid.size > 0
+    if not (shapes and all(np.isfinite(part).all() for part in (grid, low, high, normal))):
+        raise FileError(f"{path}: not a field correction (shapes or numbers do not fit together); make it again")
+    if (high < low).any() or low[2] <= 0 or normal[2] <= 0 or not np.isclose(np.linalg.norm(normal), 1):
+        raise FileError(f"{path}: not a field correction (its volume or normal is impossible); make it again")
+    return FieldCorrection(grid, low, high, normal)
+
+
+def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None) -> _Plates:
+    steps = np.asarray(steps_mm, dtype=float)
+    if len(plates) == 0 or steps.shape != (len(plates),) or len(np.unique(steps)) != len(steps):
+        raise InputError(f"{len(plates)} plates need as many different steps, got {steps.tolist()}")
+    order = np.argsort(steps)
+    clouds = [_without_strays(check_points(plates[k], f"points of plate {k + 1}", least=100), k + 1) for k in order]
+    slopes = [cloud[:, :2] / cloud[:, 2:] for cloud in clouds]
+    low = np.min([part.min(axis=0) for part in slopes], axis=0)
+    high = np.max([part.max(axis=0) for part in slopes], axis=0)
+    fewest = min(len(cloud) for cloud in clouds)
+    side = max(np.sqrt(np.prod(high - low) * POINTS_PER_BIN / fewest), (high - low).max() / MOST_BINS)
+    shape = np.maximum(np.rint((high - low) / side), 3).astype(int)
+    bins = [_bin_means(part, cloud[:, 2], low, high, shape) for part, cloud in zip(slopes, clouds, strict=True)]
+    counts, rays, depths = (np.stack(parts) for parts in zip(*bins, strict=True))
+    seen = counts > 0
+    normal, offset = _parallel_planes(rays * depths[..., None], seen, steps[order], order)
+    first = offset if distance_mm is None else float(distance_mm)
+    if not abs(first - offset) <= DOUBT_MM + DOUBT_SHARE * offset:
+        raise InputError(f"distance_mm is {first:g}, but the first plate's points lie {offset:.1f} mm away; check both")
+    at = first + steps[order]
+    error = np.where(seen, depths - at[:, None] / np.where(seen, rays @ normal, 1.0), 0.0)
+    middle = float(at.mean())
+    axes = [start + (np.arange(n) + 0.5) * (end - start) / n for n, start, end in zip(shape, low, high, strict=True)]
+    weights = np.minimum(counts / np.median(counts[seen]), 1.0)
+    return _Plates(
+        *(np.moveaxis(part.reshape(len(at), *shape), 0, 2) for part in (error, weights)),
+        [axes[0] * middle, axes[1] * middle, at],
+        normal,
+        middle,
+        np.append(low, at[0]),
+        np.append(high, at[-1]),
+    )
+
+
+def _without_strays(cloud: Floats, number: int) -> Floats:
+    """A plate's points (N, 3) but those far off their plane and those at the origin, pixels without a depth."""
+    cloud = cloud[cloud.any(axis=1)]
+    if (cloud[:, 2] <= 0).any():
+        raise InputError(f"plate {number} has points behind the scanner (z <= 0); give them in the scanner frame")
+    for _ in range(2):
+        distance = fit_plane(cloud[:: max(len(cloud) // PLENTY, 1)]).distance(cloud)
+        distance -= np.median(distance)
+        spread = 1.4826 * np.median(np.abs(distance))
+        cloud = cloud[np.abs(distance) <= STRAY * spread + 1e-9]
+    return cloud
+
+
+def _bin_means(slopes: Floats, depths: Floats, low: Floats, high: Floats, shape: Floats) -> tuple[Floats, ...]:
+    """Count (B,), mean ray (B, 3) with z = 1 and mean depth (B,) of the points in each bin of the field."""
+    cell = np.minimum((slopes - low) / (high - low) * shape, shape - 1).astype(int)
+    flat, bins = cell[:, 0] * shape[1] + cell[:, 1], int(np.prod(shape))
+    counts = np.bincount(flat, minlength=bins)
+    u, v, z = (
+        np.bincount(flat, part, minlength=bins) / np.maximum(counts, 1) for part in (slopes[:, 0], slopes[:, 1], depths)
+    )
+    return counts, np.column_stack([u, v, np.ones(bins)]), z
+
+
+def _parallel_planes(means: Floats, seen: NDArray[np.bool_], steps: Floats, order: Floats) -> tuple[Floats, float]:
+    """Common normal (3,), z above 0, and distance in mm at step 0 of plates with bin means (K, B, 3)."""
+    normals = []
+    for cloud, mask in zip(means, seen, strict=True):
+        plane = fit_plane(cloud[mask])
+        normals.append(plane.normal * np.sign(plane.normal[2]))
+    normal = normals[0]
+    for _ in range(3):
+        plane = fit_plane(np.concatenate([m[s] - step * normal for m, s, step in zip(means, seen, steps, strict=True)]))
+        normal = plane.normal * np.sign(plane.normal[2])
+    offset = float(plane.offset_mm * np.sign(plane.normal[2]))
+    for k, cloud, mask, step, own in zip(order, means, seen, steps, normals, strict=True):
+        stands = float((cloud[mask] @ normal).mean())
+        if abs(stands - offset - step) > DOUBT_MM + DOUBT_SHARE * np.abs(steps).max():
+            raise InputError(
+                f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step {step:g};"
+                " check the order, sign and unit of the steps"
+            )
+        tilt = np.degrees(vector_angle(own, normal))
+        if tilt > DOUBT_TILT_DEG:
+            raise InputError(f"plate {k + 1} is tilted by {tilt:.1f} deg against the others; only shift it")
+    return normal, offset
+
+
+@njit(cache=True, nogil=True)
+def _trilinear(place, grid, low, per_unit):
+    """Values (N,) of a regular grid at places (3, N), those beyond its rim taken to the rim."""
+    values = np.empty(place.shape[1])
+    cell = np.empty(3, np.int64)
+    share = np.empty(3)
+    for n in range(place.shape[1]):
+        for axis in range(3):
+            last = grid.shape[axis] - 1
+            at = (place[axis, n] - low[axis]) * per_unit[axis]
+            at = min(at, float(last)) if at > 0.0 else 0.0
+            cell[axis] = min(int(at), max(last - 1, 0))
+            share[axis] = at - cell[axis]
+        i, j, k = cell
+        a, b, c = min(i + 1, grid.shape[0] - 1), min(j + 1, grid.shape[1] - 1), min(k + 1, grid.shape[2] - 1)
+        u, v, w = share
+        values[n] = (1 - u) * (
+            (1 - v) * ((1 - w) * grid[i, j, k] + w * grid[i, j, c]) + v * ((1 - w) * grid[i, b, k] + w * grid[i, b, c])
+        ) + u * (
+            (1 - v) * ((1 - w) * grid[a, j, k] + w * grid[a, j, c]) + v * ((1 - w) * grid[a, b, k] + w * grid[a, b, c])
+        )
+    return values
+
+
+def _at_measured(true: FieldCorrection, fine: Sequence[Floats]) -> FieldCorrection:
+    """The correction as a function of the measured place, from one as a function of the true place."""
+    place = np.stack(np.meshgrid(*fine, indexing="ij")).reshape(3, -1)
+    along = place[0] * true.normal[0] + place[1] * true.normal[1] + true.normal[2]
+    error = true.error_grid_mm.ravel()
+    for _ in range(2):
+        error = true._interpolated(np.stack([place[0], place[1], place[2] - error * along]))
+    return FieldCorrection(error.reshape(true.error_grid_mm.shape), true.low, true.high, true.normal)

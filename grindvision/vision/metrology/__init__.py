@@ -1,0 +1,1 @@
+"""Dimensions of a known target measured in a scan: ``step_height``."""

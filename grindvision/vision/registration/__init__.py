@@ -1,0 +1,6 @@
+"""Two scans in, the pose between them out.
+
+Data flow: two scans -> ``global_registration`` proposes poses (``sac_ia`` is the first paper's own way) ->
+``plane_icp`` (``icp`` point to point and generalised) -> ``verification`` chooses by ``agreement`` and names
+``free_motions``; ``deformable`` takes up a smooth bending that is left.
+"""

@@ -1,0 +1,236 @@
+"""Point-to-plane ICP of oriented points onto surfels: robust weights, and no pairs beside the target's edge."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import DegenerateError
+from grindvision.geometry import check_points, check_rigid, nearest_rotation, rigid
+from grindvision.geometry.neighbours import nearest_one
+from grindvision.vision.registration.icp import FineRegistration, registration_result
+from grindvision.vision.surface.surfels import Surfels
+
+Floats = NDArray[np.float64]
+
+BESIDE = 1.5
+"""Points farther along a surfel's plane than so many cells lie beside the surface."""
+
+LEAST_FACING = 0.7
+"""Least cosine of the angle between the normals of two surfaces that may be the same."""
+
+STAY = 0.01
+"""A point that has moved by a smaller part of a cell keeps the surfel that was found for it."""
+
+EVERY, MANY = 16, 10_000
+"""Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
+
+
+def icp_planes(
+    source: ArrayLike,
+    source_normals: ArrayLike,
+    target: Surfels,
+    T_start: ArrayLike | None = None,
+    most_mm: float | None = None,
+    least_scale_mm: float = 0.0,
+    iterations: int = 30,
+) -> FineRegistration:
+    """Point-to-plane ICP of points (N, 3) with normals (N, 3) onto surfels.
+
+    Residuals are weighted by Tukey's function of their own spread, so beads, outliers and the part of a scan the other
+    one does not show pull nothing. Points beside the target's edge (farther along the plane than a cell and a half),
+    or whose normal turns more than 45 degrees away from the target's, are not used. The nearest surfel is sought anew
+    only for points that have moved by a hundredth of a cell since, and of many points a few come near first: the search
+    is nearly all the work.
+
+    Args:
+        most_mm: pairs farther apart are not used; three cells when left out.
+        least_scale_mm: floor of the residuals' spread.
+
+    Raises:
+        DegenerateError: fewer than 12 pairs.
+    """
+    source = check_points(source, "source points", 12)
+    transform = np.eye(4) if T_start is None else check_rigid(T_start, "T_start")
+    normals = np.ascontiguousarray(source_normals, dtype=float)
+    grid = target.grid
+    size = grid.size_mm
+    most = 3 * size if most_mm is None else float(most_mm)
+    planes = (
+        target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
+        1.0 / size,
+    )  # fmt: skip
+    limits = most, BESIDE * size, STAY * size, float(least_scale_mm), iterations
+    if len(source) > MANY:
+        near, *_, pairs, _ = _plane_icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform, *limits, *planes)
+        transform = near if pairs >= 12 else transform
+    transform, information, centre, errors, weight, pairs, converged = _plane_icp(
+        np.ascontiguousarray(source), normals, transform, *limits, *planes
+    )
+    if pairs < 12:
+        raise DegenerateError(f"only {pairs} points of the scans meet within {most:.3g} mm; they do not overlap there")
+    transform = rigid(nearest_rotation(transform[:3, :3]), transform[:3, 3])
+    rms = float(np.sqrt(errors[-1]))
+    return registration_result(transform, rms, pairs / len(source), errors, converged, centre, information, weight, rms)
+
+
+def plane_residuals(
+    source: Floats, source_normals: Floats, target: Surfels, T_target_source: Floats, most_mm: float
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
+    ``most_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
+    grid, count = target.grid, len(source)
+    matches, moved, sought = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.full((count, 3), np.inf)
+    residuals, facing = np.empty(count), np.empty(count)
+    _match(
+        source, source_normals, T_target_source, most_mm, BESIDE * grid.size_mm, target.normals, grid.points,
+        grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, 0.0, sought,
+        moved, matches, residuals, facing,
+    )  # fmt: skip
+    shown = matches >= 0
+    return np.where(shown, residuals, np.nan), shown & (facing > LEAST_FACING)
+
+
+@njit(cache=True, nogil=True)
+def solve_definite(matrix, right):
+    """Solution (n,) of a small symmetric positive definite system (n, n), by elimination without pivots."""
+    rows, solution = matrix.copy(), right.copy()
+    count = len(right)
+    for a in range(count):
+        for b in range(a + 1, count):
+            share = rows[b, a] / rows[a, a]
+            for c in range(a, count):
+                rows[b, c] -= share * rows[a, c]
+            solution[b] -= share * solution[a]
+    for a in range(count - 1, -1, -1):
+        for c in range(a + 1, count):
+            solution[a] -= rows[a, c] * solution[c]
+        solution[a] /= rows[a, a]
+    return solution
+
+
+@njit(cache=True, nogil=True)
+def _match(
+    source, normals, transform, most, beside, target_normals, points, order, starts, table_keys, table_cells, origin,
+    per_mm, stay, sought, moved, matches, residuals, facing,
+):  # fmt: skip
+    """Move points (N, 3) with normals (N, 3) and find the plane of each: fill the moved points, the planes' indices, -1
+    where none is shown, distances along their normals and the cosines (N,) between the normals.
+
+    A point keeps its plane while it is nearer than ``stay`` to the place from which the plane was ``sought`` (N, 3).
+    """
+    m = transform
+    for p in range(len(source)):
+        s, n = source[p], normals[p]
+        x = m[0, 0] * s[0] + m[0, 1] * s[1] + m[0, 2] * s[2] + m[0, 3]
+        y = m[1, 0] * s[0] + m[1, 1] * s[1] + m[1, 2] * s[2] + m[1, 3]
+        z = m[2, 0] * s[0] + m[2, 1] * s[1] + m[2, 2] * s[2] + m[2, 3]
+        moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
+        ax, ay, az = x - sought[p, 0], y - sought[p, 1], z - sought[p, 2]
+        if not ax * ax + ay * ay + az * az < stay * stay:
+            matches[p], _ = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+            sought[p, 0], sought[p, 1], sought[p, 2] = x, y, z
+        q = matches[p]
+        if q < 0:
+            continue
+        t = target_normals[q]
+        dx, dy, dz = x - points[q, 0], y - points[q, 1], z - points[q, 2]
+        residuals[p] = t[0] * dx + t[1] * dy + t[2] * dz
+        if dx * dx + dy * dy + dz * dz - residuals[p] * residuals[p] >= beside * beside:
+            matches[p] = -1
+            continue
+        facing[p] = 0.0
+        for k in range(3):
+            facing[p] += t[k] * (m[k, 0] * n[0] + m[k, 1] * n[1] + m[k, 2] * n[2])
+
+
+@njit(cache=True, nogil=True)
+def _turn_and_shift(transform, centre, step):
+    """Add a shift ``step[:3]`` and a rotation vector ``step[3:]`` about ``centre``, in place, and return its angle."""
+    angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    axis = step[3:] / max(angle, 1e-300)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for column in range(4):
+        x, y, z = transform[0, column], transform[1, column], transform[2, column]
+        if column == 3:
+            x, y, z = x - centre[0], y - centre[1], z - centre[2]
+        along = (1 - cosine) * (axis[0] * x + axis[1] * y + axis[2] * z)
+        transform[0, column] = cosine * x + along * axis[0] + sine * (axis[1] * z - axis[2] * y)
+        transform[1, column] = cosine * y + along * axis[1] + sine * (axis[2] * x - axis[0] * z)
+        transform[2, column] = cosine * z + along * axis[2] + sine * (axis[0] * y - axis[1] * x)
+    for k in range(3):
+        transform[k, 3] += centre[k] + step[k]
+    return angle
+
+
+@njit(cache=True, nogil=True)
+def _plane_icp(
+    source, normals, transform, most, beside, stay, least_scale, iterations,
+    target_normals, points, order, starts, table_keys, table_cells, origin, per_mm,
+):  # fmt: skip
+    count = len(source)
+    current = transform.copy()
+    moved, residual, facing = np.empty((count, 3)), np.empty(count), np.empty(count)
+    sought = np.full((count, 3), np.inf)
+    match = np.empty(count, dtype=np.int64)
+    sizes = np.empty(count)
+    errors = np.zeros(iterations)
+    done, converged = 0, False
+    matrix, right = np.zeros((6, 6)), np.zeros(6)
+    centre = np.zeros(3)
+    row = np.empty(6)
+    pairs, total = 0, 0.0
+    for iteration in range(iterations):
+        _match(
+            source, normals, current, most, beside, target_normals, points, order, starts, table_keys, table_cells,
+            origin, per_mm, stay, sought, moved, match, residual, facing,
+        )  # fmt: skip
+        pairs = 0
+        centre[:] = 0.0
+        for p in range(count):
+            if match[p] >= 0 and facing[p] < LEAST_FACING:
+                match[p] = -1
+            if match[p] >= 0:
+                sizes[pairs] = abs(residual[p])
+                for k in range(3):
+                    centre[k] += moved[p, k]
+                pairs += 1
+        if pairs < 12:
+            break
+        for k in range(3):
+            centre[k] /= pairs
+        scale = max(1.4826 * np.median(sizes[:pairs]), least_scale, 1e-12)
+        cut = 4.685 * scale
+        matrix[:, :], right[:] = 0.0, 0.0
+        total, square = 0.0, 0.0
+        for p in range(count):
+            if match[p] < 0 or abs(residual[p]) >= cut:
+                continue
+            weight = (1 - (residual[p] / cut) ** 2) ** 2
+            n = target_normals[match[p]]
+            x, y, z = moved[p, 0] - centre[0], moved[p, 1] - centre[1], moved[p, 2] - centre[2]
+            row[0], row[1], row[2] = n[0], n[1], n[2]
+            row[3], row[4], row[5] = y * n[2] - z * n[1], z * n[0] - x * n[2], x * n[1] - y * n[0]
+            for a in range(6):
+                for b in range(a, 6):
+                    matrix[a, b] += weight * row[a] * row[b]
+                right[a] -= weight * row[a] * residual[p]
+            total += weight
+            square += weight * residual[p] ** 2
+        for a in range(6):
+            for b in range(a):
+                matrix[a, b] = matrix[b, a]
+        errors[iteration] = square / total
+        done = iteration + 1
+        damped = matrix.copy()
+        extent = (matrix[3, 3] + matrix[4, 4] + matrix[5, 5]) / max(matrix[0, 0] + matrix[1, 1] + matrix[2, 2], 1e-300)
+        for a in range(3):
+            damped[a, a] += 1e-6 * total
+            damped[3 + a, 3 + a] += 1e-6 * total * extent
+        step = solve_definite(damped, right)
+        turn = _turn_and_shift(current, centre, step)
+        if np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) + turn * np.sqrt(extent) < 1e-3 * scale:
+            converged = True
+            break
+    return current, matrix, centre, errors[: max(done, 1)].copy(), total, pairs, converged

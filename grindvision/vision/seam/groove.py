@@ -1,0 +1,181 @@
+"""Finding weld grooves in a cloud: valleys of the height field, then their edges and root fitted along the seam.
+
+What all V-grooves share is used and nothing else: two walls that fall towards each other along a line, below a surface
+that is flat or gently bent. An outline, a rounded outer edge or a bead is no valley and is never looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from grindvision.clouds import LARGEST_MM, SMALLEST_MM
+from grindvision.errors import InputError, NoGrooveError, UnitError
+from grindvision.geometry import inverse, move_points
+from grindvision.vision.seam.groove_diagnostics import LEAST_WALL_SHARE, wall_share
+from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, fit_groove
+from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.height_field import field_bounds, spacing_of
+from grindvision.vision.seam.valley import find_valleys
+from grindvision.vision.seam.viewing_frames import field_frames
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+#: A groove holds at least this share of the volume of the first one.
+LEAST_VOLUME_SHARE = 0.05
+#: Where the largest valley is no groove or may be a gap, so many of the valleys under each smaller disc are fitted,
+#: largest first.
+MOST_LOOKED_AT = 4
+#: A path that runs along a known groove for this share is that groove again.
+KNOWN_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class GrooveDetection:
+    """All grooves of a cloud, largest volume first, but what may be a gap between two things last.
+
+    ``labels`` in the cloud's shape marks the points of any groove. ``groove_id`` has the same shape: rank of the
+    point's groove, -1 outside. ``spacing_mm`` is the cloud's point distance, ``T_field_cloud`` (4, 4) the frame whose z
+    axis is the viewing direction that was used. ``left_out`` are grooves too small against the first one to count.
+    ``cluttered`` says that there are larger valleys than the grooves, and that they are none: gaps between the things
+    in the scene.
+    """
+
+    grooves: tuple[DetectedGroove, ...]
+    groove_id: Integers
+    spacing_mm: float
+    T_field_cloud: Floats
+    left_out: tuple[DetectedGroove, ...] = ()
+    cluttered: bool = False
+
+    @property
+    def labels(self) -> Flags:
+        """True on the points of any groove."""
+        return self.groove_id >= 0
+
+    def __str__(self) -> str:
+        return f"{len(self.grooves)} groove(s): " + "; ".join(str(groove) for groove in self.grooves)
+
+
+def find_grooves(
+    points: ArrayLike,
+    viewpoint_mm: ArrayLike | None = None,
+    width_mm: float | None = None,
+    spacing_mm: float | None = None,
+) -> GrooveDetection:
+    """Find the V-grooves of a single-view cloud.
+
+    Args:
+        points: (N, 3) or organised (R, C, 3), mm; rows with NaN (pixels without depth) belong to no groove.
+        viewpoint_mm: the camera (3,), in the cloud's frame. Left out, the origin is taken where a camera could stand
+            there; otherwise both sides of the surface are tried and the one with the larger groove counts.
+        width_mm: rough width of the grooves; estimated when left out.
+        spacing_mm: typical distance of neighbouring points; estimated when left out.
+
+    Raises:
+        InputError: wrong shape, too few points, a width that the spacing cannot resolve. UnitError: the size of the
+            cloud fits no part in mm. NoGrooveError: the cloud shows no groove.
+    """
+    cloud, valid = finite_points(points)
+    sides = field_frames(cloud, viewpoint_mm)
+    spacing = spacing_of(cloud, sides[0][0]) if spacing_mm is None else float(spacing_mm)
+    if width_mm is not None and not width_mm >= LEAST_POINTS_ACROSS * spacing:
+        raise InputError(
+            f"the points are {spacing:.2g} mm apart, too sparse for a groove {width_mm:.3g} mm wide; at least"
+            f" {LEAST_POINTS_ACROSS:.0f} points must fit across it: scan more densely or from nearer"
+        )
+    best: tuple[list[DetectedGroove], Floats, bool] = [], sides[0][0], False
+    for frames in sides:
+        grooves, cluttered = _grooves_seen(cloud, frames, spacing, width_mm)
+        if _total_volume(grooves) > _total_volume(best[0]):
+            best = grooves, frames[0], cluttered
+    if not best[0]:
+        raise NoGrooveError(
+            f"no groove in the cloud ({len(cloud):,} points, {spacing:.2g} mm apart): no place where two walls fall"
+            f" towards each other along a line, at least {LEAST_POINTS_ACROSS * spacing:.2g} mm apart at this spacing;"
+            " check the view, and give the viewpoint if the camera does not stand at the origin"
+        )
+    rank = np.full(len(valid), -1)
+    at = np.flatnonzero(valid)
+    found = [_with_members(groove, at[groove.members]) for groove in best[0]]
+    least = LEAST_VOLUME_SHARE * found[0].volume_mm3
+    grooves = [groove for groove in found if groove.volume_mm3 >= least]
+    for number, groove in reversed(list(enumerate(grooves))):
+        rank[groove.members] = number
+    ranks = rank.reshape(np.shape(points)[:-1])
+    left_out = tuple(groove for groove in found if groove.volume_mm3 < least)
+    return GrooveDetection(tuple(grooves), ranks, spacing, best[1], left_out, best[2])
+
+
+def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
+    """The finite points (N, 3) of a cloud (N, 3) or (R, C, 3), and which rows of the flat cloud they are.
+
+    Raises:
+        InputError: not such a cloud, or fewer than 100 finite points. UnitError: no part in mm is of this size.
+    """
+    try:
+        cloud = np.asarray(points, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("the cloud is not an array of numbers; expected shape (N, 3)") from None
+    if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
+        raise InputError(f"the cloud has shape {cloud.shape}; expected (N, 3), or (rows, columns, 3) if organised")
+    cloud = cloud.reshape(-1, 3)
+    valid = np.isfinite(cloud[:, 0] + cloud[:, 1] + cloud[:, 2])
+    kept = cloud if valid.all() else cloud[valid]
+    if len(kept) < 100:
+        raise InputError(f"{len(kept)} of {len(cloud)} points are finite; a groove needs at least 100")
+    low, high = field_bounds(kept, np.eye(4))
+    diagonal = float(np.linalg.norm(high - low))
+    if not SMALLEST_MM <= diagonal <= LARGEST_MM:
+        guess = "; if its numbers are metres, read it with unit m" if diagonal < SMALLEST_MM else ""
+        raise UnitError(f"the cloud spans {diagonal:.3g} mm, which is no weld part in mm{guess}")
+    return kept, valid
+
+
+def _total_volume(grooves: list[DetectedGroove]) -> float:
+    return sum(groove.volume_mm3 for groove in grooves)
+
+
+def _with_members(groove: DetectedGroove, members: Integers) -> DetectedGroove:
+    return replace(groove, members=members)
+
+
+def _grooves_seen(
+    cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None
+) -> tuple[list[DetectedGroove], bool]:
+    """Grooves of one side of the surface, largest first, what may be gaps last; one seen from several directions counts
+    once.
+
+    Also, whether some were found only under a smaller disc than the one that fills the largest valley.
+    """
+    radius = None if width_mm is None else max(1.2 * width_mm, 8 * spacing)
+    found: list[DetectedGroove] = []
+    cluttered = False
+
+    def may_be_gap(groove: DetectedGroove) -> bool:
+        return wall_share(groove, cloud) < LEAST_WALL_SHARE
+
+    for frame in frames:
+        for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
+            before = len(found)
+            for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
+                path = move_points(inverse(field.T_field_cloud), valley.path)
+                if not _known(path, found):
+                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found)
+                    found += [groove] if groove is not None and not _known(groove.root, found) else []
+            cluttered = cluttered or (look > 0 and len(found) > before)
+            if not all(may_be_gap(groove) for groove in found):
+                break
+    return sorted(found, key=lambda groove: (may_be_gap(groove), -groove.volume_mm3)), cluttered
+
+
+def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:
+    """Whether most of a path (M, 3) runs along one of the grooves."""
+    return any(
+        (cKDTree(groove.root).query(path)[0] < np.median(groove.width_mm)).mean() > KNOWN_SHARE for groove in grooves
+    )

@@ -1,0 +1,125 @@
+"""Two scans made ready for comparison: fine surfels for ICP and difference, keypoints for the first alignment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.geometry import inverse, move_points
+from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.neighbours import nearest
+from grindvision.parallel import side_by_side
+from grindvision.vision.surface.fpfh import compute_fpfh, mirrored_fpfh
+from grindvision.vision.surface.keypoints import Keypoints
+from grindvision.vision.surface.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
+from grindvision.vision.surface.surfels import Surfels, build_surfels, surface_area
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Sizes that follow from the data: ``spacing_mm`` of the points, ``surfel_mm`` and ``voxel_mm`` cell edges."""
+
+    spacing_mm: float
+    surfel_mm: float
+    voxel_mm: float
+
+    def __str__(self) -> str:
+        cells = f"surfels of {self.surfel_mm:.3g} mm, voxels of {self.voxel_mm:.3g} mm"
+        return f"points {self.spacing_mm:.3g} mm apart, {cells}"
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan (N, 3) in its scanner's frame with what the stages need.
+
+    ``viewpoint_mm`` (3,) is the scanner, None where it is not known; then the side the normals point to is a guess.
+    """
+
+    points: Floats
+    viewpoint_mm: Floats | None
+    surfels: Surfels
+    voxels: Surfels
+    keypoints: Keypoints
+
+    def __str__(self) -> str:
+        return f"{len(self.points):,} points, {self.surfels}, {len(self.keypoints):,} keypoints"
+
+
+def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
+    """Cell sizes for a scan (N, 3): about 25,000 surfels where the points allow it, more, as the root of their number,
+    above half a million, and about ``voxels`` coarse cells."""
+    points = np.asarray(points, dtype=float)
+    area = surface_area(points)
+    surfels = min(25_000 * max(1.0, np.sqrt(len(points) / 500_000)), len(points) / 2)
+    return Resolution(float(np.sqrt(area / len(points))), float(np.sqrt(area / surfels)), float(np.sqrt(area / voxels)))
+
+
+def coarser(one: Resolution, other: Resolution) -> Resolution:
+    """The resolution both scans can be brought to."""
+    surfel = max(one.surfel_mm, other.surfel_mm)
+    return Resolution(max(one.spacing_mm, other.spacing_mm), surfel, max(one.voxel_mm, other.voxel_mm, 1.5 * surfel))
+
+
+def prepare_scan(
+    points: ArrayLike, resolution: Resolution, viewpoint_mm: ArrayLike | None = None, feature_voxels: float | None = 5.0
+) -> Scan:
+    """Surfels, normals and FPFH of a scan (N, 3).
+
+    Args:
+        viewpoint_mm: the scanner (3,) in the frame of the points; guessed when left out (``guess_viewpoint``).
+        feature_voxels: FPFH radius in voxels; None leaves the histograms out, for a scan whose pose is known.
+    """
+    points = np.asarray(points, dtype=float)
+    fine = build_surfels(points, resolution.surfel_mm)
+    viewpoint = guess_viewpoint(fine.points, fine.normals) if viewpoint_mm is None else np.asarray(viewpoint_mm, float)
+    coarse = build_surfels(fine.points, resolution.voxel_mm)
+    voxel = resolution.voxel_mm
+    normals = estimate_normals(coarse.points, 2.5 * voxel, 40, viewpoint)
+    if viewpoint is None:
+        near, _ = nearest(build_cells(coarse.points, 2 * voxel), fine.points, 4 * voxel)
+        turned = (normals[near] * fine.normals).sum(axis=1) < 0
+        fine = replace(fine, normals=np.where(turned[:, None], -fine.normals, fine.normals))
+    else:
+        fine = replace(fine, normals=orient_to_viewpoint(fine.points, fine.normals, viewpoint))
+    if feature_voxels is None:
+        features = np.empty((len(coarse), 0))
+    else:
+        features = compute_fpfh(coarse.points, normals, feature_voxels * voxel)
+    keypoints = Keypoints(coarse.points, normals, features, voxel)
+    return Scan(points, viewpoint, fine, replace(coarse, normals=normals), keypoints)
+
+
+def prepare_pair(
+    sample: ArrayLike, test: ArrayLike, viewpoints_mm: tuple[ArrayLike | None, ArrayLike | None] = (None, None)
+) -> tuple[Scan, Scan]:
+    """Both scans at one resolution, side by side in two threads."""
+    resolution = coarser(*side_by_side(choose_resolution, (sample, test)))
+    first, second = side_by_side(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
+    return first, second
+
+
+def reversed_scan(scan: Scan) -> Scan:
+    """The same scan with its normals pointing to the other side."""
+    keys = scan.keypoints
+    return replace(
+        scan,
+        surfels=replace(scan.surfels, normals=-scan.surfels.normals),
+        voxels=replace(scan.voxels, normals=-scan.voxels.normals),
+        keypoints=replace(keys, normals=-keys.normals, features=mirrored_fpfh(keys.features)),
+    )
+
+
+def seen_from(scan: Scan, T_other_scan: ArrayLike) -> Floats | None:
+    """The scan's viewpoint (3,) in another frame; None where it is not known."""
+    return None if scan.viewpoint_mm is None else move_points(T_other_scan, scan.viewpoint_mm)
+
+
+def surface_in_frame(surfels: Surfels, T_other_scan: ArrayLike) -> Surfels:
+    """Surfels expressed in another frame (T_other_scan @ p_scan), in a grid of that frame with the same cell size."""
+    transform = np.asarray(T_other_scan, dtype=float)
+    grid = build_cells(move_points(transform, surfels.points), surfels.grid.size_mm)
+    return replace(surfels, grid=grid, normals=surfels.normals @ inverse(transform)[:3, :3])

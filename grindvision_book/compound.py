@@ -1,0 +1,330 @@
+"""The whole chain of diao2018 on its twin: arm, scanner, calibration, registration and path, each error to switch.
+
+One case is one robot cell: an instrument and a tracker are drawn, the cell is calibrated, the good part is scanned
+once, and the part with the bead from four orientations of the arm. Every path is brought into the base frame by the
+calibrated cell at the commanded joint angles; truth serves the comparison and the sources switched off, nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from grindvision.calibration import Measurements, ScannerOnArm, calibrate
+from grindvision.cell import (
+    CalibrationPlan,
+    GrindingRobot,
+    LaserTracker,
+    Scan,
+    Scanner,
+    StructuredLightScanner,
+    Target,
+    calibration_plan,
+    measured,
+    misaligned_tracker,
+)
+from grindvision.cell.experiment4 import printed_path, twin_part
+from grindvision.cell.grinding_part import Bead
+from grindvision.errors import DegenerateError
+from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors, vector_angle
+from grindvision.vision.change.change_detection import find_difference
+from grindvision.vision.change.detection import propose, refine
+from grindvision.vision.change.ridge_path import BeadPath, trace_bead
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.verification import VerifiedPose, choose_pose
+from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
+from grindvision.vision.surface.scan import Scan as PreparedScan
+from grindvision_book.grinding import square_to
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+
+#: Commanded angles of joints 1 to 4. D1 comes nearest to the pose that Tables 3 and 4 imply; the paper does not state
+#: D2 to D4: these see the same spot from the same side of the arm, turned by 30 to 65 deg.
+ORIENTATIONS_DEG = {
+    "D1": (-51.05, -75.12, 17.86, -5.29),
+    "D2": (-57.0, -83.0, 37.0, -74.0),
+    "D3": (-49.0, -83.0, 27.0, 36.0),
+    "D4": (-55.0, -87.0, 39.0, -40.0),
+}
+
+#: What can be wrong, as the keywords of ``compound_case``.
+SOURCES = ("scanner_noise", "field_distortion", "registration", "joint_repeatability", "calibration")
+
+#: Scanner errors that are new in every point; the others are the same in every scan of one instrument.
+RANDOM_ERRORS = ("white_mm", "triangulation_px", "correlated_px", "mixed_pixels")
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """The twin's part where the robot finds it: ``bead`` in the base frame, both solids to scan, ``T_base_part``.
+
+    ``T_base_scanner`` is the pose that Tables 3 and 4 imply.
+    """
+
+    bead: Bead
+    good: Target
+    faulty: Target
+    T_base_part: Floats
+    T_base_scanner: Floats
+
+    def compared(self, found: Floats) -> tuple[Floats, Floats, Floats]:
+        """Found path points (n, 3), base frame and in order, against the true ridge.
+
+        Returns the vectors (n, 3) from the ridge to the points, square to it; how far (n,) each point lies along the
+        ridge from the middle of its equal part of the bead, where at least half as high; the true normals (n, 3).
+        """
+        ridge = self.bead.ridge_mm
+        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ridge, axis=0), axis=1))])
+        tangents = np.gradient(ridge, arc, axis=0)
+        _, near = cKDTree(ridge).query(found)
+        along = np.einsum("ij,ij->i", found - ridge[near], tangents[near])
+        rounded = self.bead.width_mm / 2 * (1 - np.sqrt(0.75))
+        middles = rounded + (arc[-1] - 2 * rounded) * (np.arange(len(found)) + 0.5) / len(found)
+        return square_to(ridge, found), arc[near] + along - middles, self.bead.normals[near]
+
+
+@dataclass(frozen=True)
+class RegisteredPair:
+    """Both scans made ready, the coarse pose, and the registration T_sample_test between them."""
+
+    sample: PreparedScan
+    test: PreparedScan
+    coarse: VerifiedPose
+    registration: FineRegistration
+
+    @classmethod
+    def of(cls, sample_points: Floats, test_points: Floats) -> RegisteredPair:
+        """Register two scans (N, 3) from nothing, by the stages of ``vision.detect``.
+
+        Raises:
+            DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
+        """
+        rng = np.random.default_rng(0)
+        sample, test = prepare_pair(sample_points, test_points, (np.zeros(3), np.zeros(3)))
+        test, poses = propose(sample, test, rng)
+        coarse = choose_pose(test, sample, poses, rng)
+        return cls(sample, test, coarse, refine(sample, test, coarse, rng))
+
+    def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
+        """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
+        size = self.sample.surfels.grid.size_mm
+        sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
+        test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
+        coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
+        return replace(self, test=test, registration=refine(self.sample, test, coarse, np.random.default_rng(0)))
+
+    def at(self, T_sample_test: Floats) -> RegisteredPair:
+        """The same scans under another registration (4, 4)."""
+        return replace(self, registration=replace(self.registration, T_target_source=T_sample_test))
+
+    def bead(self, points: int) -> BeadPath:
+        """Path of the largest bead, frame of the test scan.
+
+        Raises:
+            DegenerateError: nothing stands out, or the bead cannot be followed.
+        """
+        pieces = find_difference(self.sample, self.test, self.registration).clusters
+        if not pieces:
+            raise DegenerateError("no bead was found above the level of detection; scan the part from nearer views")
+        return trace_bead(pieces[0], points)
+
+
+@cache
+def workplace(bead_height_mm: float = 1.5) -> Workplace:
+    """Experiment 4's twin with a bead of the height given, in the base frame."""
+    path = printed_path()
+    part, T_scanner_part = twin_part(path, height_mm=bead_height_mm)
+    T_base_part = path.T_base_scanner @ T_scanner_part
+    bead = replace(
+        part.bead,
+        ridge_mm=move_points(T_base_part, part.bead.ridge_mm),
+        normals=turn_vectors(T_base_part, part.bead.normals),
+    )
+    return Workplace(bead, Target(part.sample), Target(part.test), T_base_part, path.T_base_scanner)
+
+
+def compound_paths(
+    rng: np.random.Generator,
+    scanner_noise: bool = True,
+    field_distortion: bool = True,
+    registration: bool = True,
+    joint_repeatability: bool = True,
+    calibration: bool = True,
+    around_mm: float | None = 25.0,
+    points: int = 6,
+) -> pd.DataFrame:
+    """Paths of one robot cell found from the four orientations, base frame.
+
+    A source switched off is replaced by the truth, the rest of the chain stays as it is. The calibration experiment
+    itself always has all its errors.
+
+    Args:
+        rng: draws instrument, tracker, calibration, the sample's place and all noise.
+        around_mm: the test scans keep a square of this half side around the bead, the sample's a square as wide as
+            its diagonal; None keeps the whole field, and registers each orientation from nothing.
+        points: path points.
+
+    Returns:
+        ``orientation, point, x_mm, y_mm, z_mm, nx, ny, nz``; ``off_x_mm, off_y_mm, off_z_mm`` from the true ridge to
+        the point, square to the ridge; ``slip_mm`` along it; ``normal_off_deg`` from the true normal.
+
+    Raises:
+        DegenerateError: registration or path failed, as ``detect`` says.
+    """
+    import pandas as pd
+
+    place = workplace()
+    instrument = StructuredLightScanner(serial=int(rng.integers(2**31)))
+    robot = replace(_robot(), scanner=instrument)
+    tracker = misaligned_tracker(rng)
+    calibrated = calibrated_cell(robot, tracker, rng)
+    off = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
+    scanner = instrument.with_errors(instrument.errors.without(*off))
+    repeatability = robot.joint_noise_deg if joint_repeatability else 0.0
+    robot = replace(robot, scanner=scanner, joint_noise_deg=repeatability)
+
+    tests, believed = [], []
+    for angles in ORIENTATIONS_DEG.values():
+        q_rad = np.radians(angles)
+        T_part_scanner = inverse(place.T_base_part) @ robot.move(q_rad, rng)
+        tests.append(_scan_of_spot(place, place.faulty, scanner, T_part_scanner, rng, around_mm))
+        believed.append(_believed_pose(calibrated, tracker, q_rad) if calibration else robot.exact_poses(q_rad))
+    wider_mm = None if around_mm is None else np.sqrt(2) * around_mm
+    sample = _scan_of_spot(place, place.good, scanner, _view_of_good_part(place, scanner, rng), rng, wider_mm)
+    pairs = _pairs(sample, tests, None if around_mm is None else believed)
+    if not registration:
+        pairs = [pair.at(true_registration(sample, test)) for pair, test in zip(pairs, tests, strict=True)]
+    beads = [pair.bead(points) for pair in pairs]
+    rows = []
+    for name, T_base_scanner, bead in zip(ORIENTATIONS_DEG, believed, beads, strict=True):
+        found, normals = move_points(T_base_scanner, bead.points), turn_vectors(T_base_scanner, bead.normals)
+        if (found[-1] - found[0]) @ (place.bead.ridge_mm[-1] - place.bead.ridge_mm[0]) < 0:
+            found, normals = found[::-1], normals[::-1]
+        off, slip, true_normals = place.compared(found)
+        tilt = np.degrees(vector_angle(normals, true_normals))
+        rows += [(name, i + 1, *found[i], *normals[i], *off[i], slip[i], tilt[i]) for i in range(points)]
+    columns = ["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_x_mm", "off_y_mm", "off_z_mm", "slip_mm"]
+    return pd.DataFrame(rows, columns=["orientation", "point", *columns, "normal_off_deg"])
+
+
+def compound_case(rng: np.random.Generator, **settings: bool | float | None) -> dict[str, float]:
+    """``compound_paths`` in numbers: a case of a study.
+
+    ``spread_x_mm`` (y, z): widest spread of corresponding points over the path; ``spread_rms_mm``: rms distance of
+    points from the middle of those that correspond. ``off_x_mm`` (y, z): rms of the vectors from the ridge; ``off_mm``
+    their mean length, ``largest_off_mm`` the largest; ``normal_off_deg`` median.
+    """
+    paths = compound_paths(rng, **settings)
+    apart = spreads(paths)
+    coordinates = paths[["x_mm", "y_mm", "z_mm"]]
+    from_middle = coordinates - coordinates.groupby(paths["point"]).transform("mean")
+    off = off_ridge(paths)
+    lengths = np.linalg.norm(off, axis=1)
+    return {
+        **{f"spread_{axis}_mm": float(apart[f"{axis}_mm"].max()) for axis in "xyz"},
+        "spread_rms_mm": float(np.sqrt(from_middle.pow(2).sum(axis=1).mean())),
+        **{f"off_{axis}_mm": float(np.sqrt((off[:, i] ** 2).mean())) for i, axis in enumerate("xyz")},
+        "off_mm": float(lengths.mean()),
+        "largest_off_mm": float(lengths.max()),
+        "normal_off_deg": float(paths["normal_off_deg"].median()),
+    }
+
+
+def spreads(paths: pd.DataFrame) -> pd.DataFrame:
+    """How far corresponding points lie apart, largest minus smallest coordinate: ``point, x_mm, y_mm, z_mm``."""
+    by_point = paths.groupby("point")[["x_mm", "y_mm", "z_mm"]]
+    return (by_point.max() - by_point.min()).reset_index()
+
+
+def off_ridge(paths: pd.DataFrame) -> Floats:
+    """Vectors (N, 3) from the true ridge to the path points, base frame."""
+    return paths[["off_x_mm", "off_y_mm", "off_z_mm"]].to_numpy()
+
+
+def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.Generator) -> ScannerOnArm:
+    """Calibrate the robot as experiment 2 does: nine spheres, six directions each, and a tracker."""
+    table = measured(_plan(), robot, tracker, rng, every=None).table
+    joints, seen, tracked = (
+        [f"q{i}_rad" for i in range(1, 5)], ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"],
+    )  # fmt: skip
+    measurements = Measurements(
+        *(table[columns].to_numpy() for columns in (joints, seen, tracked)),
+        sphere=table["sphere"].astype(str).to_numpy(),
+    )
+    return calibrate(measurements, robot.nominal).cell
+
+
+@cache
+def _robot() -> GrindingRobot:
+    """The robot of every cell, but for its own scanner; its tables are read once."""
+    return GrindingRobot()
+
+
+@cache
+def _plan() -> CalibrationPlan:
+    """Where the spheres stand and from where they are seen: the same for every robot cell."""
+    return calibration_plan(_robot(), np.random.default_rng(2), test_spheres=0)
+
+
+def _believed_pose(calibrated: ScannerOnArm, tracker: LaserTracker, q_rad: Floats) -> Floats:
+    """T_base_scanner (4, 4) by the calibrated cell, in the base frame as the tracker defines it.
+
+    Base and arm cannot be told apart by calibration, only their product: it is compared through the tracker's frame.
+    """
+    in_tracker = calibrated.points_tracker(np.tile(q_rad, (4, 1)), np.vstack([np.zeros(3), np.eye(3)]))
+    T_tracker_scanner = np.eye(4)
+    T_tracker_scanner[:3, :3] = (in_tracker[1:] - in_tracker[0]).T
+    T_tracker_scanner[:3, 3] = in_tracker[0]
+    return inverse(tracker.T_tracker_base) @ T_tracker_scanner
+
+
+def true_registration(sample: Scan, test: Scan) -> Floats:
+    """T_sample_test (4, 4) as it truly is."""
+    return inverse(sample.T_world_scanner) @ test.T_world_scanner
+
+
+def _scan_of_spot(
+    place: Workplace,
+    part: Target,
+    scanner: Scanner,
+    T_part_scanner: Floats,
+    rng: np.random.Generator,
+    around_mm: float | None,
+) -> Scan:
+    """Scan a part; of the field only a square of half side ``around_mm`` about the bead's middle, unless None."""
+    window = None
+    if around_mm is not None:
+        x, y, z = move_points(inverse(place.T_base_part @ T_part_scanner), place.bead.ridge_mm.mean(axis=0))
+        per_mm = scanner.focal_px / z
+        column, row, reach = x * per_mm + scanner.columns / 2, y * per_mm + scanner.rows / 2, around_mm * per_mm
+        window = (int(column - reach), int(column + reach), int(row - reach), int(row + reach))
+    return scanner.measure(scanner.sight(part, T_part_scanner, 1, window), rng)
+
+
+def _view_of_good_part(place: Workplace, scanner: Scanner, rng: np.random.Generator) -> Floats:
+    """Pose T_part_scanner (4, 4) 400 mm away, turned about 25 deg from the printed view towards facing the plate."""
+    T_part_test = inverse(place.T_base_part) @ place.T_base_scanner
+    axis = np.cross(T_part_test[:3, 2], [0.0, 0.0, -1.0]) + 0.3 * rng.standard_normal(3)
+    T_part_scanner = np.eye(4)
+    T_part_scanner[:3, :3] = rotation_about(axis, np.radians(25.0)) @ T_part_test[:3, :3]
+    middle = move_points(inverse(place.T_base_part), place.bead.ridge_mm.mean(axis=0))
+    T_part_scanner[:3, 3] = [0.0, middle[1], 0.0] - scanner.reference_mm * T_part_scanner[:3, 2]
+    return T_part_scanner
+
+
+def _pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
+    """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
+    if believed is None:
+        return [RegisteredPair.of(sample.points, test.points) for test in tests]
+    first = RegisteredPair.of(sample.points, tests[0].points)
+    T_sample_base = first.registration.T_target_source @ inverse(believed[0])
+    moved = zip(tests[1:], believed[1:], strict=True)
+    return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]

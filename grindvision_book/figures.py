@@ -1,0 +1,134 @@
+"""Saves what a chapter shows: a figure or 3D scene as SVG, PNG and the CSV that is drawn, a table as CSV and Markdown.
+
+The files repeat byte for byte: no date, no random identifiers, text as outlines, a fixed number format.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import TYPE_CHECKING
+
+from grindvision.errors import InputError
+from grindvision.files import write_text, write_whole
+from grindvision_book.places import figures_folder
+from grindvision_book.session import current_chapter
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyvista
+    from matplotlib.figure import Figure
+
+#: Pixels per inch of images and rasterised layers inside an SVG; lines and text have none.
+LAYER_DPI = 90
+
+
+def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> None:
+    """Save a figure as ``name.svg``, ``name.png`` and ``name.csv``, show it with its caption, and close it.
+
+    Args:
+        fig: Matplotlib figure.
+        name: file name without suffix: lower-case letters, digits and underscores.
+        data: what is drawn, units in the column names; a time ends in ``_s``.
+        caption: frame, unit, and origin (printed, synthetic with its seed, measured).
+
+    Raises:
+        InputError: unusable name, no data or no caption. FileError: the folder cannot be written to.
+    """
+    import matplotlib.pyplot as plt
+
+    _check(name, data, caption)
+    folder, chapter = figures_folder(), current_chapter()
+    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
+    with write_whole(svg) as path:
+        about = {"Title": name, "Description": caption, "Source": f"chapter {chapter}"}
+        fig.savefig(path, dpi=LAYER_DPI, metadata={**about, "Date": None, "Creator": None})
+    with write_whole(png) as path:
+        fig.savefig(path, metadata={"Title": name, "Description": caption, "Software": None})
+    write_text(folder / f"{name}.csv", csv_text(data))
+    plt.close(fig)
+    if shell := _notebook():
+        shell.display(shell.SVG(filename=str(svg)), shell.Markdown(f"*{caption}*"))
+
+
+def save_scene(plotter: pyvista.Plotter, name: str, data: pd.DataFrame, caption: str) -> None:
+    """Save what an off-screen PyVista plotter sees as the same three files, show it with its caption, and close it.
+
+    The picture is cropped to what is drawn; arguments and errors as in ``save_figure``.
+    """
+    import matplotlib.pyplot as plt
+    import numpy as np
+    from PIL import Image
+
+    _check(name, data, caption)
+    picture = plotter.screenshot(return_img=True)[..., :3]
+    plotter.close()
+    drawn = np.argwhere((picture != picture[0, 0]).any(axis=2))
+    if not len(drawn):
+        raise InputError(f"scene {name}: the 3D view is empty; check the camera and what was added")
+    (top, left), (bottom, right) = np.maximum(drawn.min(axis=0) - 12, 0), drawn.max(axis=0) + 13
+    cropped = Image.fromarray(picture[top:bottom, left:right])
+    few_colours = np.asarray(cropped.quantize(192, dither=Image.Dither.NONE).convert("RGB"))
+
+    height, width = few_colours.shape[:2]
+    with plt.rc_context({"figure.constrained_layout.use": False, "savefig.dpi": "figure"}):
+        fig = plt.figure(figsize=(7.0, 7.0 * height / width), dpi=width / 7.0)
+        axes = fig.add_axes((0, 0, 1, 1))
+        axes.imshow(few_colours, interpolation="none")
+        axes.set_axis_off()
+        save_figure(fig, name, data, caption)
+
+
+def save_table(table: pd.DataFrame, name: str, caption: str) -> None:
+    """Save a table as ``name.csv`` (all digits) and ``name.md`` (rounded, with the caption), and show it.
+
+    Arguments and errors as in ``save_figure``; the table's index is not saved.
+    """
+    _check(name, table, caption)
+    folder = figures_folder()
+    text = markdown_table(table)
+    write_text(folder / f"{name}.csv", csv_text(table))
+    write_text(folder / f"{name}.md", f"{text}\n\n*{caption}* (chapter {current_chapter()})\n")
+    if shell := _notebook():
+        shell.display(shell.Markdown(f"{text}\n\n*{caption}*"))
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """A table as CSV with seven significant digits and Unix line ends: what the book compares and commits."""
+    return table.to_csv(index=False, float_format="%.7g", lineterminator="\n")
+
+
+def markdown_table(table: pd.DataFrame) -> str:
+    """A table as Markdown, numbers to the right with four significant digits, missing values blank."""
+    right = [table[column].dtype.kind in "iuf" for column in table.columns]
+    lines = [[str(column) for column in table.columns], ["---:" if number else "---" for number in right]]
+    lines += [[_cell(value) for value in row] for row in table.itertuples(index=False)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _cell(value: object) -> str:
+    if value is None or value != value:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    return str(value).replace("|", "\\|")
+
+
+def _check(name: str, data: pd.DataFrame, caption: str) -> None:
+    import pandas as pd
+
+    if not re.fullmatch(r"[a-z0-9_]+", name):
+        raise InputError(f"figure name {name!r}: use lower-case letters, digits and underscores")
+    if not isinstance(data, pd.DataFrame) or data.empty:
+        raise InputError(f"{name}: what is drawn must come with it as a pandas DataFrame of at least one row")
+    if not caption.strip():
+        raise InputError(f"{name}: the caption is empty; state frame, unit and origin")
+
+
+def _notebook():
+    """``IPython.display`` inside a notebook or IPython session, else None."""
+    if "IPython" not in sys.modules or sys.modules["IPython"].get_ipython() is None:
+        return None
+    from IPython import display
+
+    return display

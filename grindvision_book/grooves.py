@@ -1,0 +1,77 @@
+"""Pictures and measures of groove detection: clouds seen by the camera, sections across a groove, the overlap rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.vision.seam.groove_lines import DetectedGroove
+
+Floats = NDArray[np.float64]
+
+
+def overlap_percent(found: ArrayLike, truth: ArrayLike) -> float:
+    """Points both found and true, over points found or true (peng2020, Section V-B), in percent."""
+    found, truth = np.asarray(found, dtype=bool), np.asarray(truth, dtype=bool)
+    return float(100 * (found & truth).sum() / max((found | truth).sum(), 1))
+
+
+def sample_rows(count: int, wanted: int) -> NDArray[np.int64]:
+    """About ``wanted`` row numbers spread evenly over ``count`` rows in a scrambled order, the same every time."""
+    return np.sort(np.random.default_rng(0).permutation(count)[:wanted])
+
+
+def draw_cloud(
+    axes: Axes, points: ArrayLike, colours: object, title: str = "", size: float = 1.5, **options: object
+) -> PathCollection:
+    """Scatter points (N, 3) of the camera frame as the camera sees them: x to the right, y down."""
+    points = np.asarray(points)
+    drawn = axes.scatter(points[:, 0], points[:, 1], c=colours, s=size, linewidths=0, rasterized=True, **options)
+    axes.set(aspect="equal", title=title, xticks=[], yticks=[])
+    if not axes.yaxis_inverted():
+        axes.invert_yaxis()
+    for side in axes.spines.values():
+        side.set_visible(False)
+    return drawn
+
+
+def normal_colours(normals: ArrayLike) -> Floats:
+    """A colour (N, 3) for every unit normal facing the camera: x and y turn into red and green."""
+    normals = np.asarray(normals)
+    return np.clip(np.column_stack([0.5 + 0.5 * normals[:, 0], 0.5 + 0.5 * normals[:, 1], -0.9 * normals[:, 2]]), 0, 1)
+
+
+def groups(found: ArrayLike, truth: ArrayLike, names: Sequence[str] = ("neither", "missed", "extra", "both")) -> Floats:
+    """Name (N,) of every point: true groove missed, found in excess, both, or neither."""
+    return np.array(names)[np.asarray(truth, dtype=int) + 2 * np.asarray(found, dtype=int)]
+
+
+def cross_section(points: ArrayLike, groove: DetectedGroove, station: int, thickness_mm: float) -> pd.DataFrame:
+    """Points of a slice across a groove: ``across_mm`` from the root and ``height_mm`` above the surface's edges.
+
+    The last three rows (``kind`` edge, root, edge) are the fitted section, the others ``kind`` point.
+    """
+    points = np.asarray(points, dtype=float)
+    root, up = groove.root[station], groove.normals[station]
+    along = groove.root[min(station + 1, len(groove.root) - 1)] - groove.root[max(station - 1, 0)]
+    along = along - up * (along @ up)
+    along /= np.linalg.norm(along)
+    side = np.cross(up, along)
+    level = np.mean([(groove.left[station] - root) @ up, (groove.right[station] - root) @ up])
+    lines = np.array([groove.left[station], root, groove.right[station]])
+
+    def placed(places: Floats, kind: Sequence[str]) -> pd.DataFrame:
+        away = places - root
+        return pd.DataFrame({"kind": kind, "across_mm": away @ side, "height_mm": away @ up - level})
+
+    away = points - root
+    near = (np.abs(away @ along) < thickness_mm / 2) & (np.abs(away @ side) < 1.6 * groove.width_mm[station])
+    near &= np.abs(away @ up) < 2.5 * groove.depth_mm[station]
+    return pd.concat(
+        [placed(points[near], ["point"] * int(near.sum())), placed(lines, ["edge", "root", "edge"])], ignore_index=True
+    )

@@ -1,0 +1,194 @@
+"""Builds the HTML book from the executed copies of the chapters; it needs no network to build or to read."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from grindvision.errors import GrindvisionError
+from grindvision_book.answers import write_scoreboard
+from grindvision_book.places import FIGURES, NOTEBOOKS, ROOT, SITE
+from grindvision_book.site.chapter_pages import readable
+from grindvision_book.site.findings import findings_page
+from grindvision_book.site.gallery import gallery_page
+from grindvision_book.site.pictures import figures_in, light_copies, lightened, tables_in
+from grindvision_book.site.reference import write_reference
+from grindvision_book.site.scenes import SCENES, Scene, scene_link, scenes_page, write_scene
+
+SOURCES = Path(__file__).parents[1] / "site_sources"
+
+_TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+_LINKED = (
+    "LICENSE",
+    "LICENSE-TEXT",
+    "CITATION.cff",
+    "environment.txt",
+    "data/paper/expected.csv",
+    ".github/workflows/pages.yml",
+)
+
+_RACES = (
+    "goals", "detect", "scenes", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel",
+    "fpfh", "startup", "first_call", "large_detect", "large_groove",
+)  # fmt: skip
+
+#: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
+_CONTENTS = {
+    "The book": ("00", "figures/scoreboard", "findings", "gallery", "scenes"),
+    "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
+    "peng2020: welding": ("10", "11"),
+    "Your own scans and arm": ("12", "when_it_does_not_work"),
+    "Teaching": ("teachers_guide", "exercises"),
+    "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
+    "Reference": (
+        "conventions", "glossary", "api/index", "data/README", "references", "CHANGELOG",
+        "CONTRIBUTING",
+    ),
+}  # fmt: skip
+
+
+def build_site(
+    build: Path,
+    figures: Path,
+    notebooks: Path = NOTEBOOKS,
+    site: Path = SITE,
+    scenes: Sequence[Scene] = SCENES,
+    reference: bool = True,
+) -> Path:
+    """Build the pages and return the path of the first one.
+
+    Args:
+        build: working folder with ``executed``; a chapter that has no executed copy there is shown without outputs.
+        figures: figures and answers that the pages show; where a chapter has none there, the committed ones are shown.
+        notebooks: folder of the chapters.
+        site: folder of the pages.
+        scenes: 3D scenes to draw.
+        reference: whether to draw the pages of the package's reference.
+
+    Raises:
+        GrindvisionError: Sphinx cannot build them; the message has its reason.
+    """
+    from sphinx.application import Sphinx
+    from sphinx.errors import SphinxError
+    from sphinx.util.console import nocolor
+
+    sources, extra = build / "site_sources", build / "site_extra"
+    shutil.rmtree(extra, ignore_errors=True)
+    light = _gather(sources, build / "executed", figures, notebooks, scenes)
+    for scene in scenes:
+        page = write_scene(scene, sources / "scenes")
+        (extra / "scenes").mkdir(parents=True, exist_ok=True)
+        shutil.move(page, extra / "scenes" / page.name)
+    if reference:
+        write_reference(sources / "api")
+    _write_index(sources, light)
+    nocolor()
+    complaints = io.StringIO()
+    shutil.rmtree(site, ignore_errors=True)
+    try:
+        app = Sphinx(
+            srcdir=sources,
+            confdir=SOURCES,
+            outdir=site,
+            doctreedir=build / "doctrees",
+            buildername="html",
+            confoverrides={"html_extra_path": [str(extra)] if scenes else []},
+            status=None,
+            warning=complaints,
+            freshenv=True,
+        )
+        with warnings.catch_warnings():
+            # Sphinx also parses the sources of our classes' parents; one library's write \d unescaped.
+            warnings.filterwarnings("ignore", message="invalid escape sequence")
+            app.build()
+    except SphinxError as error:
+        raise GrindvisionError(f"the HTML book cannot be built: {error}") from None
+    if complaints.getvalue():
+        print(complaints.getvalue(), file=sys.stderr, end="")
+    return site / "index.html"
+
+
+def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> dict[str, str]:
+    """Lay out the sources like the checkout, so that every relative link means the same in both.
+
+    Returns the light copies of the pictures, as ``light_copies`` does.
+    """
+    import nbformat
+
+    shutil.rmtree(sources, ignore_errors=True)
+    shutil.copytree(FIGURES, sources / "figures")
+    shutil.copytree(figures, sources / "figures", dirs_exist_ok=True)
+    board = write_scoreboard(sources / "figures")
+    light = light_copies(sources / "figures")
+    drawn, tables = figures_in(sources / "figures", light), tables_in(sources / "figures")
+    for name, table in tables.items():
+        page = sources / "figures" / f"{name}.md"
+        page.write_text(f"---\norphan: true\n---\n# Table {table.name}\n\n{page.read_text(encoding='utf-8')}", "utf-8")
+
+    (sources / "notebooks").mkdir()
+    links = {figure: scene_link(scene, "../") for scene in scenes for figure in scene.figures}
+    titles: dict[str, str] = {}
+    for chapter in sorted(notebooks.glob("[0-9][0-9]_*.ipynb")):
+        number, copy = chapter.name[:2], executed / chapter.name
+        notebook = nbformat.read(copy if copy.exists() else chapter, as_version=4)
+        title = re.search(r"^# (.+)$", notebook.cells[0].source, re.MULTILINE)
+        titles[number] = f"[{title[1] if title else chapter.stem}](notebooks/{chapter.name})"
+        readable(notebook, board[board["chapter"] == number], drawn, light, links)
+        nbformat.write(notebook, sources / "notebooks" / chapter.name)
+
+    exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
+    if exercises:
+        shutil.copytree(notebooks / "exercises", sources / "notebooks" / "exercises")
+    for page in (*_TEXTS, *_LINKED):
+        if (ROOT / page).exists():
+            (sources / page).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / page, sources / page)
+    pages = {path.name: path.read_text(encoding="utf-8") for path in SOURCES.glob("*.md")}
+    pages["findings.md"] = findings_page(pages["findings.md"], sources / "figures")
+    pages["gallery.md"] = gallery_page(
+        sources / "figures", drawn, tables, {**titles, "races": "[Races](benchmarks/README.md)"}
+    )
+    if exercises:
+        pages["exercises.md"] = _exercises_page([path.stem for path in exercises])
+    if scenes:
+        pages["scenes.md"] = scenes_page(scenes, titles, drawn)
+    for name, text in pages.items():
+        (sources / name).write_text(lightened(text, light), encoding="utf-8")
+    return light
+
+
+def _exercises_page(names: Sequence[str]) -> str:
+    return "\n".join(
+        [
+            "# Exercises",
+            "",
+            "One notebook for each chapter, for JupyterLab (`./run lab`, folder `exercises`). After a cell to fill in "
+            "comes a check that tries your function on inputs you do not see, and names the likely mistake. Solutions "
+            "lie in `notebooks/solutions`.",
+            "",
+            "```{toctree}",
+            "",
+            *(f"notebooks/exercises/{name}" for name in names),
+            "```",
+            "",
+        ]
+    )
+
+
+def _write_index(sources: Path, light: dict[str, str]) -> None:
+    """The front page: the README, with the contents of the whole book."""
+    chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision_book/site_sources/", "](")
+    readme = re.sub(r"\]\(notebooks/(exercises|solutions)\)", "](exercises.md)", readme)  # folders are no pages
+    groups = []
+    for caption, names in _CONTENTS.items():
+        pages = [chapters.get(name, name) for name in names]
+        there = [page for page in pages if any((sources / f"{page}{kind}").exists() for kind in (".md", ".ipynb"))]
+        if there:
+            groups.append("\n".join(["```{toctree}", ":hidden:", f":caption: {caption}", "", *there, "```", ""]))
+    (sources / "index.md").write_text("\n".join([lightened(readme, light), *groups]), encoding="utf-8")

@@ -1,0 +1,96 @@
+"""One parameter to be felt: a slider over a picture in a live notebook, a strip of pictures anywhere else."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from grindvision.errors import InputError
+from grindvision_book.figures import save_figure
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+#: Width and height in inches of one picture of a strip, and of the picture under a slider.
+STRIP_PICTURE, SLIDER_PICTURE = (1.95, 2.1), (5.6, 4.0)
+
+
+def slider(
+    draw: Callable[[Axes, float], pd.DataFrame],
+    values: Sequence[float],
+    name: str,
+    label: str,
+    caption: str,
+    strip: Sequence[float] = (),
+) -> None:
+    """Let a reader move one parameter and see what becomes of a picture.
+
+    Where somebody sits before the notebook, a slider redraws one picture. Where nobody does (book, tests, HTML), the
+    pictures of a few values stand side by side, and are saved like any other figure.
+
+    Args:
+        draw: draws the picture of one value into the axes, and returns what it draws, units in the column names.
+        values: the positions of the slider, ascending.
+        name: file name of the strip, as in ``save_figure``.
+        label: the parameter and its unit, such as "voxel edge, mm".
+        caption: of the strip, as in ``save_figure``.
+        strip: three or four of the values; evenly picked when left out.
+
+    Raises:
+        InputError: fewer than three values, or a picture of the strip that is no position of the slider.
+    """
+    if len(values) < 3:
+        raise InputError(f"{name}: a slider with {len(values)} positions shows nothing; give at least 3 values")
+    if not set(strip) <= set(values):
+        raise InputError(f"{name}: the strip shows {sorted(set(strip) - set(values))}, which are no slider positions")
+    if is_live():
+        _show_slider(draw, values, label)
+    else:
+        _save_strip(draw, strip or [values[k * (len(values) - 1) // 3] for k in range(4)], name, label, caption)
+
+
+def is_live() -> bool:
+    """Whether somebody can move a slider: a kernel of JupyterLab, Notebook or VS Code that rebuilds no book."""
+    if os.environ.get("GRINDVISION_FIGURES") or "IPython" not in sys.modules:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return shell is not None and ("JPY_SESSION_NAME" in os.environ or "__vsc_ipynb_file__" in shell.user_ns)
+
+
+def _show_slider(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], label: str) -> None:
+    import ipywidgets
+    import matplotlib.pyplot as plt
+
+    def show(value: float) -> None:
+        _, axes = plt.subplots(figsize=SLIDER_PICTURE)
+        draw(axes, value)
+        plt.show()
+
+    choices = [(f"{value:g}", value) for value in values]
+    knob = ipywidgets.SelectionSlider(
+        options=choices, value=values[len(values) // 2], description=label, continuous_update=False,
+        style={"description_width": "initial"}, layout={"width": "30em"},
+    )  # fmt: skip
+    ipywidgets.interact(show, value=knob)
+
+
+def _save_strip(
+    draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], name: str, label: str, caption: str
+) -> None:
+    import matplotlib.pyplot as plt
+    import pandas as pd
+
+    quantity, _, unit = label.partition(", ")
+    width, height = STRIP_PICTURE
+    fig, panels = plt.subplots(1, len(values), figsize=(width * len(values), height), sharex=True, sharey=True)
+    drawn = []
+    for axes, value in zip(panels, values, strict=True):
+        data = draw(axes, value)
+        axes.set_title(f"{quantity} {value:g} {unit}".rstrip(), fontsize=9)
+        axes.label_outer()
+        data.insert(0, f"{quantity}_{unit}".strip("_").replace(" ", "_"), value)
+        drawn.append(data)
+    save_figure(fig, name, pd.concat(drawn, ignore_index=True), caption)
