@@ -31,7 +31,7 @@ from grindvision.cell import (
 from grindvision.cell.experiment4 import printed_path, twin_part
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
-from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors, vector_angle
+from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_about, vector_angle
 from grindvision.vision.change.change_detection import find_difference
 from grindvision.vision.change.detection import propose, refine
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
@@ -146,7 +146,7 @@ def workplace(bead_height_mm: float = 1.5) -> Workplace:
     bead = replace(
         part.bead,
         ridge_mm=move_points(T_base_part, part.bead.ridge_mm),
-        normals=turn_vectors(T_base_part, part.bead.normals),
+        normals=rotate_vectors(T_base_part, part.bead.normals),
     )
     return Workplace(bead, Target(part.sample), Target(part.test), T_base_part, path.T_base_scanner)
 
@@ -205,7 +205,7 @@ def compound_paths(
     beads = [pair.bead(points) for pair in pairs]
     rows = []
     for name, T_base_scanner, bead in zip(ORIENTATIONS_DEG, believed, beads, strict=True):
-        found, normals = move_points(T_base_scanner, bead.points), turn_vectors(T_base_scanner, bead.normals)
+        found, normals = move_points(T_base_scanner, bead.points), rotate_vectors(T_base_scanner, bead.normals)
         if (found[-1] - found[0]) @ (place.bead.ridge_mm[-1] - place.bead.ridge_mm[0]) < 0:
             found, normals = found[::-1], normals[::-1]
         off, slip, true_normals = place.compared(found)

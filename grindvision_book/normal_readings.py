@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from grindvision.geometry import fit_rigid, turn_vectors, vector_angle
+from grindvision.geometry import fit_rigid, rotate_vectors, vector_angle
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def tried_readings(normals_scanner: ArrayLike, triples_base: ArrayLike, T_base_s
 
 
 def _turned(normals: Floats, triples: Floats, T_base_scanner: ArrayLike) -> float:
-    return _rms(turn_vectors(T_base_scanner, normals) - triples)
+    return _rms(rotate_vectors(T_base_scanner, normals) - triples)
 
 
 def _moved(normals: Floats, triples: Floats) -> float:
@@ -69,7 +69,7 @@ def _arcs(normals: Floats, triples: Floats, T_base_scanner: ArrayLike) -> tuple[
     """Each number as arccos, arcsin or arctan of the turned normal's components, plus any number of right angles."""
     left = []
     for signs in _SIGNS:
-        x = turn_vectors(T_base_scanner, normals * signs)
+        x = rotate_vectors(T_base_scanner, normals * signs)
         arcs = [f(x[:, i]) for f in (np.arccos, np.arcsin) for i in range(3)]
         arcs += [np.arctan2(x[:, i], x[:, j]) for i, j in permutations(range(3), 2)]
         off = triples[None] - np.array([sign * arc for arc in arcs for sign in (1, -1)])[:, :, None]
@@ -114,7 +114,7 @@ def _set_on(normals: Floats, T_base_scanner: ArrayLike) -> Floats:
     """Frames (K, N, 3, 3) with an axis along the normal, by the shortest turn or towards an axis of scanner or base."""
     frames = []
     for signs, T in product(_SIGNS, (np.eye(4), np.asarray(T_base_scanner, dtype=float))):
-        along = turn_vectors(T, normals * signs)
+        along = rotate_vectors(T, normals * signs)
         for axis in np.eye(3):
             turn = np.cross(axis, along)
             angle = vector_angle(axis, along)[:, None]

@@ -74,7 +74,7 @@ BAD = {
     "two_roots": ('<robot name="a"><link name="b"/><link name="c"/></robot>', "Two root links"),
     "deep": ("<robot>" * 5000, "nested 201 deep"),
     "laughs": ('<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "XML entities"),
-    "slide": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]], "prismatic"), "not a single chain of 1 turning joints"),
+    "slide": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]], "prismatic"), "not a single chain of 1 revolute joints"),
     "aside": (urdf([([0, 0.2, 0], [0, 0, 0])], [[0, 0, 1]]), "does not cross the root link's x axis"),
     "no_joint": ('<robot name="a"><link name="b"/></robot>', "it has 0 joints"),
 }

@@ -10,7 +10,7 @@ from grindvision.cell import ScannerErrors
 from grindvision.cell.scanner_errors import sum_of_cosines
 from grindvision.cell.solids import box
 from grindvision.errors import InputError, NotRigidError, SightError
-from grindvision.geometry import fit_plane, inverse, move_points, rigid, rotation_about, turn_vectors
+from grindvision.geometry import fit_plane, inverse, move_points, rigid, rotate_vectors, rotation_about
 from grindvision.vision.depth_calibration.field_correction import calibrate_field
 from grindvision.vision.metrology.step_height import measure_step
 
@@ -45,7 +45,7 @@ def plain_sighting(scanner, target, pose, every):
     points = rays[hits.ray] * (to_plane / np.einsum("ij,ij->i", (rays @ pose[:3, :3].T)[hits.ray], normals))[:, None]
     eyes = np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])
     light = target.sees(move_points(pose, points), normals, move_points(pose, eyes[1]))
-    normals = turn_vectors(inverse(pose), normals)
+    normals = rotate_vectors(inverse(pose), normals)
     ways = [(eye - points) / np.linalg.norm(eye - points, axis=1, keepdims=True) for eye in eyes]
     cosines = [np.clip(np.einsum("ij,ij->i", way, normals), -1, 1) for way in ways]
     return pixels[hits.ray] // every, points, normals, light, np.maximum(*(np.arccos(cosine) for cosine in cosines))

@@ -128,7 +128,7 @@ def test_twin_of_experiment_4_runs_through_the_printed_points():
     base, _ = paper.path_points(4)
     assert cKDTree(move_points(path.T_base_scanner, ridge)).query(base)[0].max() < 0.13
     np.testing.assert_allclose(np.degrees(vector_angle(path.normals, path.tangents)), 90, atol=1e-9)
-    assert path.turns_deg.max() < 15
+    assert path.rotations_deg.max() < 15
     # The plate under the bead has the path's normals: the bead's foot lies on the sample.
     foot = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
     mesh = o3d.t.geometry.RaycastingScene()

@@ -9,7 +9,15 @@ from grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, 
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
-from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.geometry import (
+    angle_between,
+    inverse,
+    move_points,
+    random_rotation,
+    rigid,
+    rotate_vectors,
+    vector_angle,
+)
 from grindvision.vision.change.centreline import bead_course
 from grindvision.vision.change.change_detection import Cluster, difference_paper, find_difference
 from grindvision.vision.change.detection import DetectOptions, detect
@@ -56,7 +64,7 @@ def test_the_normals_are_those_of_the_good_surface(found, case, bead):
     ]
     normals = np.column_stack([-np.array(slope).T / (2 * step), np.ones(len(x))])
     _, at = cKDTree(move_points(case.T_test_part, bead.ridge())).query(found.path_points)
-    off = np.degrees(vector_angle(found.path_normals, turn_vectors(case.T_test_part, normals[at])))
+    off = np.degrees(vector_angle(found.path_normals, rotate_vectors(case.T_test_part, normals[at])))
     assert np.median(off) < 1.5
     np.testing.assert_allclose(np.linalg.norm(found.path_normals, axis=1), 1)
     np.testing.assert_array_equal(found.beads[0].tool_axes(), -found.beads[0].normals)

@@ -56,7 +56,7 @@ def wheel(seed, folds=3):
 
 @pytest.mark.parametrize("seed", [1, 4, 12, 13, 18, 21, 28])
 def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
-    with pytest.raises(AmbiguousError, match="ambiguous: a turn"):
+    with pytest.raises(AmbiguousError, match="ambiguous: a rotation"):
         detect(wheel(seed), wheel(seed + 100))
 
 

@@ -6,7 +6,7 @@ from grinding_scene import pair, plate_height, scan, view
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
-from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors
 from grindvision.vision.surface.fpfh import BINS, _bin_of_direction, compute_fpfh, mirrored_fpfh
 from grindvision.vision.surface.normals import (
     _covered_cells,
@@ -81,7 +81,7 @@ def test_fpfh_is_open3d_s_on_the_same_neighbourhoods(patch):
 def test_fpfh_does_not_see_the_pose_nor_the_unit(patch, rng):
     points, normals = patch
     T_other = rigid(random_rotation(rng), rng.normal(size=3) * 50)
-    moved = compute_fpfh(move_points(T_other, points), turn_vectors(T_other, normals), 5.0)
+    moved = compute_fpfh(move_points(T_other, points), rotate_vectors(T_other, normals), 5.0)
     here = compute_fpfh(points, normals, 5.0)
     assert np.mean(np.abs(moved - here).max(axis=1) < 1e-6) > 0.97  # the rest sits on a bin's edge
     in_metres = compute_fpfh(points / 1000, normals, 5.0 / 1000)

@@ -28,7 +28,7 @@ def test_points_move_and_vectors_only_turn(T_a_b, rng):
     homogeneous = np.column_stack([p, np.ones(5)]) @ T_a_b.T
     assert geometry.move_points(T_a_b, p) == pytest.approx(homogeneous[:, :3])
     moved = geometry.move_points(T_a_b, p + v) - geometry.move_points(T_a_b, p)
-    assert geometry.turn_vectors(T_a_b, v) == pytest.approx(moved)
+    assert geometry.rotate_vectors(T_a_b, v) == pytest.approx(moved)
     assert geometry.move_points(geometry.inverse(T_a_b), geometry.move_points(T_a_b, p)) == pytest.approx(p)
     assert geometry.move_points(T_a_b, p[0]) == pytest.approx(homogeneous[0, :3])
 

@@ -5,7 +5,7 @@ import pytest
 
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
-from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors
 from grindvision_book.grinding import Wheel, grind
 
 HEIGHT, WIDTH = 1.5, 4.0
@@ -77,10 +77,10 @@ def test_the_frame_does_not_matter(rng):
     bead = straight_bead()
     points, normals, heights = on_ridge(bead, slice(None, None, 3), shift=(0.0, 0.1, 0.05))
     T_other_part = rigid(random_rotation(rng), [10.0, -20.0, 30.0])
-    moved = Bead(move_points(T_other_part, bead.ridge_mm), turn_vectors(T_other_part, bead.normals), WIDTH, HEIGHT)
+    moved = Bead(move_points(T_other_part, bead.ridge_mm), rotate_vectors(T_other_part, bead.normals), WIDTH, HEIGHT)
     here = grind(bead, points, normals, heights, WHEEL, 0.5, 3).after_mm
     there = grind(
-        moved, move_points(T_other_part, points), turn_vectors(T_other_part, normals), heights, WHEEL, 0.5, 3
+        moved, move_points(T_other_part, points), rotate_vectors(T_other_part, normals), heights, WHEEL, 0.5, 3
     ).after_mm
     np.testing.assert_allclose(here, there, atol=1e-9)
 

@@ -4,7 +4,7 @@ from motion_scene import ring, s_trajectory, seam
 from scipy.spatial.transform import Rotation
 
 from grindvision.errors import DegenerateError, InputError, NotRigidError
-from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors, vector_angle
+from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors, vector_angle
 from grindvision.motion import Trajectory, tool_trajectory
 
 
@@ -22,7 +22,7 @@ def test_tool_points_into_the_surface_and_x_runs_along_the_seam():
 def test_frames_turn_with_the_work(rng):
     positions, normals = seam()
     T_new_base = rigid(random_rotation(rng), [10.0, -300.0, 7.0])
-    moved_before = tool_trajectory(move_points(T_new_base, positions), turn_vectors(T_new_base, normals))
+    moved_before = tool_trajectory(move_points(T_new_base, positions), rotate_vectors(T_new_base, normals))
     assert np.allclose(moved_before.T_base_tool, tool_trajectory(positions, normals).moved(T_new_base).T_base_tool)
 
 

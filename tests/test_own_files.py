@@ -11,7 +11,7 @@ from groove_scenes import cloud, grid
 
 from grindvision.clouds import write_ply
 from grindvision.errors import InputError
-from grindvision.geometry import move_points, random_rotation, rigid, turn_vectors
+from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors
 from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES
 from grindvision_book import own_files
 from grindvision_book.places import NOTEBOOKS
@@ -46,7 +46,7 @@ def test_a_slice_is_the_same_in_every_frame(rng):
     cut = own_files.slice_across(points, at, along, up, 10, 4)
     assert 50 < len(cut) < 1000 and cut.abs().to_numpy().max() <= 10
     T = rigid(random_rotation(rng), (5.0, 6.0, 7.0))
-    vectors = (turn_vectors(T, along), turn_vectors(T, up))
+    vectors = (rotate_vectors(T, along), rotate_vectors(T, up))
     moved = own_files.slice_across(move_points(T, points), move_points(T, at), *vectors, 10, 4)
     np.testing.assert_allclose(moved, cut, atol=1e-9)
 

@@ -69,7 +69,7 @@ def test_a_reading_that_is_right_would_have_been_found(fit, family):
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     turn, other = Rotation.from_rotvec([0.3, -0.2, 0.5]), Rotation.from_rotvec([0.1, 0.4, -0.2])
     if family == 0:
-        triples = geometry.turn_vectors(fit.T_target_source, normals * [-1, -1, 1])
+        triples = geometry.rotate_vectors(fit.T_target_source, normals * [-1, -1, 1])
     elif family == 3:
         side = np.cross(normals, [0.0, 0.0, 1.0])
         side /= np.linalg.norm(side, axis=1, keepdims=True)

@@ -12,9 +12,9 @@ from grindvision.geometry import (
     move_points,
     random_rotation,
     rigid,
+    rotate_vectors,
     rotation_about,
     small_motion,
-    turn_vectors,
 )
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.registration import plane_icp
@@ -144,13 +144,13 @@ def bump(x, y, at, height=8.0, size=200.0):
 
 
 FREE = {
-    "plane": (lambda x, y: 0 * x, "shift"),
-    "sphere": (lambda x, y: np.sqrt(80**2 - x**2 - y**2), "turn"),
-    "cylinder": (lambda x, y: np.sqrt(90**2 - x**2), "shift"),
-    "two bumps": (lambda x, y: bump(x, y, (30, 0)) + bump(x, y, (-30, 0)), "turn .here by 180 deg"),
+    "plane": (lambda x, y: 0 * x, "translation"),
+    "sphere": (lambda x, y: np.sqrt(80**2 - x**2 - y**2), "rotation"),
+    "cylinder": (lambda x, y: np.sqrt(90**2 - x**2), "translation"),
+    "two bumps": (lambda x, y: bump(x, y, (30, 0)) + bump(x, y, (-30, 0)), "rotation .here by 180 deg"),
     "square pocket": (
         lambda x, y: -6 / (1 + np.exp((np.maximum(abs(x), abs(y)) - 25) / 0.8)),
-        "turn .here by (90|180)",
+        "rotation .here by (90|180)",
     ),
 }
 
@@ -266,7 +266,7 @@ def test_planes_are_matched_as_the_plain_twin_does(prepared, close):
     shown = (distances <= most) & (np.sqrt(distances**2 - along**2) < 1.5 * target.grid.size_mm)
     np.testing.assert_allclose(residuals, np.where(shown, along, np.nan), atol=1e-9)
     np.testing.assert_array_equal(
-        facing, shown & ((turn_vectors(close, normals) * target.normals[at]).sum(axis=1) > 0.7)
+        facing, shown & ((rotate_vectors(close, normals) * target.normals[at]).sum(axis=1) > 0.7)
     )
 
 

@@ -9,7 +9,7 @@ from grindvision.cell import weld_scene
 from grindvision.cli import main
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
 from grindvision.errors import FileError, InputError, NotRigidError
-from grindvision.geometry import inverse, move_points, rigid, turn_vectors
+from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
 from grindvision.motion import tool_trajectory
 
 #: A scanner half a metre above the table that looks straight down.
@@ -42,7 +42,7 @@ def test_without_a_robot_there_is_no_job_and_no_stray_option(pose):
 def test_a_scanned_seam_becomes_a_programme(pose, tmp_path, form, name):
     positions, normals = seam(points=15)
     T_scanner_base = inverse(T_BASE_SCANNER)
-    trajectory = tool_trajectory(move_points(T_scanner_base, positions), turn_vectors(T_scanner_base, normals))
+    trajectory = tool_trajectory(move_points(T_scanner_base, positions), rotate_vectors(T_scanner_base, normals))
     job = robot_job(options("--robot", "ur3", "--program", form, "--scanner-pose", pose, "--torch-speed", "10"))
     work = np.random.default_rng(0).uniform([250, -90, 20], [370, 90, 45], (3000, 3))
     motion = job.plan(trajectory, move_points(T_scanner_base, work))

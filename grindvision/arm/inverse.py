@@ -60,15 +60,18 @@ def nearest_angles(
         return frames, Rotation.from_matrix(pose[:3, :3] @ frames[-1, :3, :3].T).as_rotvec()
 
     def residual(q: Floats) -> Floats:
-        frames, turn = reached(tuple(q))
-        return np.concatenate([frames[-1, :3, 3] - pose[:3, 3], -mm_per_rad * turn])
+        frames, rotation = reached(tuple(q))
+        return np.concatenate([frames[-1, :3, 3] - pose[:3, 3], -mm_per_rad * rotation])
 
     def jacobian(q: Floats) -> Floats:
-        frames, turn = reached(tuple(q))
+        frames, rotation = reached(tuple(q))
         twists = joint_twists(arm, q, frames)
         position = frames[-1, :3, 3]
         return np.vstack(
-            [twists[:3] + np.cross(twists[3:], position[:, None], axis=0), mm_per_rad * _log_slope(-turn) @ twists[3:]]
+            [
+                twists[:3] + np.cross(twists[3:], position[:, None], axis=0),
+                mm_per_rad * _log_slope(-rotation) @ twists[3:],
+            ]
         )
 
     found: list[InverseSolution] = []

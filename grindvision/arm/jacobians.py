@@ -22,7 +22,7 @@ def joint_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) ->
     """
     frames = joint_transforms(arm, q_rad) if frames is None else frames
     after = frames[..., 1:, :, :]
-    return _turn_about(after[..., :3, 2], after[..., :3, 3])
+    return _rotation_about(after[..., :3, 2], after[..., :3, 3])
 
 
 def parameter_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) -> Floats:
@@ -40,11 +40,11 @@ def parameter_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None
     tilt_origin = before[..., :3, 3] + a[:, None] * x_axis
     z_axis = after[..., :3, 2]
     columns = np.empty((*after.shape[:-3], 6, arm.n, len(PARAMETERS)))
-    columns[..., 0] = _turn_about(x_axis, before[..., :3, 3])
-    columns[..., 1] = _shift_along(x_axis)
-    columns[..., 2] = _shift_along(z_axis)
-    columns[..., 3] = _turn_about(z_axis, after[..., :3, 3])
-    columns[..., 4] = _turn_about(y_axis, tilt_origin)
+    columns[..., 0] = _rotation_about(x_axis, before[..., :3, 3])
+    columns[..., 1] = _translation_along(x_axis)
+    columns[..., 2] = _translation_along(z_axis)
+    columns[..., 3] = _rotation_about(z_axis, after[..., :3, 3])
+    columns[..., 4] = _rotation_about(y_axis, tilt_origin)
     return columns.reshape(*columns.shape[:-2], -1)
 
 
@@ -54,9 +54,9 @@ def moved_by_twist(twists: ArrayLike, points_base: ArrayLike) -> Floats:
     return twists[..., :3, :] - skew(points_base) @ twists[..., 3:, :]
 
 
-def _turn_about(axes: Floats, origins: Floats) -> Floats:
+def _rotation_about(axes: Floats, origins: Floats) -> Floats:
     return np.swapaxes(np.concatenate([np.cross(origins, axes), axes], axis=-1), -1, -2)
 
 
-def _shift_along(axes: Floats) -> Floats:
+def _translation_along(axes: Floats) -> Floats:
     return np.swapaxes(np.concatenate([axes, np.zeros_like(axes)], axis=-1), -1, -2)

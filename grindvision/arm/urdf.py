@@ -88,14 +88,14 @@ def mesh_files(path: str | Path) -> list[str]:
 
 
 def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
-    """The turning joints of a URDF file, or the first ``joints`` of them, as a modified DH table in mm.
+    """The revolute joints of a URDF file, or the first ``joints`` of them, as a modified DH table in mm.
 
     Joint angles count as in the URDF, from the same zero, and the base is the URDF's root. The last joint's frame keeps
     the joint's axis as z, but not the URDF's choice of x and origin, which a modified DH table cannot hold.
 
     Raises:
-        FileError: no URDF; fewer joints; no single chain of turning joints; a first axis that no table can place in the
-            root's frame.
+        FileError: no URDF; fewer joints; no single chain of revolute joints; a first axis that no table can place in
+            the root's frame.
     """
     model = urdf_model(path)
     count = model.njoints - 1 if joints is None else joints
@@ -103,10 +103,12 @@ def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
         raise FileError(f"{path}: it has {model.njoints - 1} joints, {count} are needed")
     data = model.createData()
     jacobian = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, -1)
-    turning = all(joint.nv == 1 for joint in list(model.joints)[1 : count + 1])
+    revolute = all(joint.nv == 1 for joint in list(model.joints)[1 : count + 1])
     chain = list(model.parents)[1 : count + 1] == list(range(count))
-    if not (turning and chain and np.allclose(np.linalg.norm(jacobian[3:, :count], axis=0), 1.0)):
-        raise FileError(f"{path}: not a single chain of {count} turning joints; remove grippers, wheels and slides")
+    if not (revolute and chain and np.allclose(np.linalg.norm(jacobian[3:, :count], axis=0), 1.0)):
+        raise FileError(
+            f"{path}: not a single chain of {count} revolute joints; remove grippers, wheels and prismatic joints"
+        )
     lines = [
         (axis, np.cross(axis, 1000.0 * moment))
         for moment, axis in zip(*np.split(jacobian.T[:count], 2, axis=1), strict=True)
@@ -114,35 +116,35 @@ def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
     table = _table_of_lines(lines)
     if table is None:
         raise FileError(
-            f"{path}: the first joint's axis does not cross the root link's x axis; turn or shift the root link, or"
+            f"{path}: the first joint's axis does not cross the root link's x axis; rotate or move the root link, or"
             " give the modified DH table as CSV"
         )
     return MdhArm(table, tuple(list(model.names)[1 : count + 1]))
 
 
 def _table_of_lines(lines: list[Line]) -> Floats | None:
-    """Table (n, 5) of joints that turn about lines (unit axis, point on it) of the base frame.
+    """Table (n, 5) of joints that rotate about lines (unit axis, point on it) of the base frame.
 
     Frame i has its z along line i. Its x leads to line i + 1: along the common normal, or, where both are nearly
     parallel, within the plane across z, and Hayati's tilt makes up the rest. None where line 1 does not cross the
     base's x.
     """
-    turn, origin = np.eye(3), np.zeros(3)
-    foot = _crossing(lines[0], turn[:, 1:])
+    rotation, origin = np.eye(3), np.zeros(3)
+    foot = _crossing(lines[0], rotation[:, 1:])
     if foot is None:
         return None
     rows = []
     for (axis, _), following in zip(lines, [*lines[1:], None], strict=True):
-        across, up, forward = turn.T @ axis
+        across, up, forward = rotation.T @ axis
         alpha, beta = np.arctan2(-up, forward), np.arcsin(np.clip(across, -1, 1))
-        a = (foot - origin) @ turn[:, 0]
-        tilted = turn @ Rotation.from_euler("XY", [alpha, beta]).as_matrix()
+        a = (foot - origin) @ rotation[:, 0]
+        tilted = rotation @ Rotation.from_euler("XY", [alpha, beta]).as_matrix()
         leaving, x, next_foot = foot, tilted[:, 0], foot
         if following is not None:
             leaving, x, next_foot = _way_to((axis, foot), following, x)
         theta = np.arctan2(np.cross(tilted[:, 0], x) @ axis, tilted[:, 0] @ x)
         rows.append([alpha, a, (leaving - foot) @ axis, theta, beta])
-        turn, origin, foot = np.column_stack([x, np.cross(axis, x), axis]), leaving, next_foot
+        rotation, origin, foot = np.column_stack([x, np.cross(axis, x), axis]), leaving, next_foot
     return np.array(rows)
 
 

@@ -177,9 +177,12 @@ def measured(
     return CalibrationExperiment(table, plan, robot, tracker, centres, poses)
 
 
-def misaligned_tracker(rng: np.random.Generator, shift_mm: float = 0.3, turn_deg: float = 0.02) -> LaserTracker:
-    """A tracker whose frame was laid into the arm's base, but is off by about ``shift_mm`` and ``turn_deg``."""
-    twist = np.concatenate([rng.normal(0, shift_mm, 3), rng.normal(0, np.radians(turn_deg), 3)])
+def misaligned_tracker(
+    rng: np.random.Generator, translation_mm: float = 0.3, rotation_deg: float = 0.02
+) -> LaserTracker:
+    """A tracker whose frame was laid into the arm's base, but is off by about ``translation_mm`` and
+    ``rotation_deg``."""
+    twist = np.concatenate([rng.normal(0, translation_mm, 3), rng.normal(0, np.radians(rotation_deg), 3)])
     return LaserTracker(small_motion(twist))
 
 

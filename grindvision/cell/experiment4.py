@@ -22,8 +22,8 @@ from grindvision.geometry import (
     move_points,
     nearest_rotation,
     rigid,
+    rotate_vectors,
     rotation_about,
-    turn_vectors,
     vector_angle,
 )
 
@@ -55,7 +55,7 @@ class PrintedPath:
     """The path of Table 3 made usable, in the scanner frame (mm).
 
     ``points_mm`` (6, 3) as printed. ``normals`` (6, 3): as printed with x and y negated, so that they face the
-    scanner and stand nearly perpendicular to the path, then turned by ``turns_deg`` (6,) to stand exactly so.
+    scanner and stand nearly perpendicular to the path, then turned by ``rotations_deg`` (6,) to stand exactly so.
     ``tangents`` (6, 3) of the smooth curve through the points. ``T_base_scanner`` (4, 4) is what Tables 3 and 4
     together imply.
     """
@@ -63,7 +63,7 @@ class PrintedPath:
     points_mm: Floats
     normals: Floats
     tangents: Floats
-    turns_deg: Floats
+    rotations_deg: Floats
     T_base_scanner: Floats
 
     def curve(self) -> tuple[Floats, Floats]:
@@ -98,11 +98,12 @@ class Experiment4Twin:
     @property
     def ridge_normals_base(self) -> Floats:
         """True surface normals (K, 3) along the ridge in the base frame."""
-        return turn_vectors(self.T_base_scanner, self.scene.ridge_normals)
+        return rotate_vectors(self.T_base_scanner, self.scene.ridge_normals)
 
     def __str__(self) -> str:
         return (
-            f"twin of experiment 4: {self.scene}; printed normals turned by up to {self.path.turns_deg.max():.1f} deg"
+            f"twin of experiment 4: {self.scene}; printed normals turned by up to"
+            f" {self.path.rotations_deg.max():.1f} deg"
         )
 
 
@@ -119,8 +120,8 @@ def printed_path() -> PrintedPath:
     tangents = CubicSpline(s, points, bc_type="natural")(s, 1)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     normals = perpendicular(facing, tangents)
-    turns = np.degrees(vector_angle(facing, normals))
-    return PrintedPath(points, normals, tangents, turns, fit_rigid(points, points_base).T_target_source)
+    angles_deg = np.degrees(vector_angle(facing, normals))
+    return PrintedPath(points, normals, tangents, angles_deg, fit_rigid(points, points_base).T_target_source)
 
 
 def twin_part(path: PrintedPath, width_mm: float = 4.0, height_mm: float = 1.5) -> tuple[GrindingPart, Floats]:
@@ -130,23 +131,23 @@ def twin_part(path: PrintedPath, width_mm: float = 4.0, height_mm: float = 1.5) 
     x_axis = ridge[-1] - ridge[0]
     y_axis = np.cross(z_axis, x_axis)
     axes = np.column_stack([v / np.linalg.norm(v) for v in (np.cross(y_axis, z_axis), y_axis, z_axis)])
-    turn = rotation_about([0.0, 0.0, 1.0], -np.radians(BEAD_PLACE[2]))
-    rotation = nearest_rotation(axes) @ turn
+    moved = rotation_about([0.0, 0.0, 1.0], -np.radians(BEAD_PLACE[2]))
+    rotation = nearest_rotation(axes) @ moved
     foot = ridge - height_mm * normals
     middle = np.array([*BEAD_MIDDLE_MM, free_form(*np.array(BEAD_MIDDLE_MM))])
     T_scanner_part = rigid(rotation, foot.mean(axis=0) - rotation @ middle)
     T_part_scanner = inverse(T_scanner_part)
-    bead = Bead(move_points(T_part_scanner, ridge), turn_vectors(T_part_scanner, normals), width_mm, height_mm)
+    bead = Bead(move_points(T_part_scanner, ridge), rotate_vectors(T_part_scanner, normals), width_mm, height_mm)
     return good_part(_surface_under(bead)).with_bead(bead), T_scanner_part
 
 
 def experiment4_twin(
     rng: np.random.Generator,
     scanner: Scanner | None = None,
-    turn_deg: float = 25.0,
+    rotation_deg: float = 25.0,
     every: int = 1,
 ) -> Experiment4Twin:
-    """Scan the twin: the test part from the printed pose, the sample from a pose about ``turn_deg`` away.
+    """Scan the twin: the test part from the printed pose, the sample from a pose about ``rotation_deg`` away.
 
     Who scans looks at what the scanner shows: a drawn pose of the sample that shows less than half of what the test
     scan shows, or not the whole place of the bead, is drawn again.
@@ -154,15 +155,17 @@ def experiment4_twin(
     Args:
         rng: draws the instrument (its serial), the sample's pose and all noise.
         scanner: a structured-light scanner when left out; one that is given keeps its serial.
-        turn_deg: rotation of the sample's pose, towards facing the plate.
+        rotation_deg: rotation of the sample's pose, towards facing the plate.
         every: pixel step; 1 gives full resolution.
 
     Raises:
-        InputError: a turn outside 0 to 40 deg. SightError: the scanner given does not reach the part, or no drawn pose
-            shows enough of it.
+        InputError: a rotation outside 0 to 40 deg. SightError: the scanner given does not reach the part, or no drawn
+            pose shows enough of it.
     """
-    if not 0 <= turn_deg <= 40:
-        raise InputError(f"turn_deg is {turn_deg}; choose 0 to 40, so that the sample scan still sees the bead's place")
+    if not 0 <= rotation_deg <= 40:
+        raise InputError(
+            f"rotation_deg is {rotation_deg}; choose 0 to 40, so that the sample scan still sees the bead's place"
+        )
     path, part, T_scanner_part = _twin()
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
@@ -171,7 +174,7 @@ def experiment4_twin(
     spots = _shown(scanner, target, T_part_test)
     place = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
     for _ in range(MOST_DRAWS):
-        T_part_sample = _sample_pose(rng, scanner, T_part_test, turn_deg)
+        T_part_sample = _sample_pose(rng, scanner, T_part_test, rotation_deg)
         try:
             shown = cKDTree(_shown(scanner, target, T_part_sample))
         except SightError:
@@ -180,17 +183,17 @@ def experiment4_twin(
         if of_test.mean() >= LEAST_OVERLAP and of_place.all():
             return Experiment4Twin(scanned_pair(part, scanner, T_part_sample, T_part_test, rng, every), path)
     raise SightError(
-        f"none of {MOST_DRAWS} poses drawn {turn_deg} deg from the printed one shows the bead's place and"
-        f" {LEAST_OVERLAP:.0%} of what the test scan shows; give another turn_deg or a scanner with a wider view"
+        f"none of {MOST_DRAWS} poses drawn {rotation_deg} deg from the printed one shows the bead's place and"
+        f" {LEAST_OVERLAP:.0%} of what the test scan shows; give another rotation_deg or a scanner with a wider view"
     )
 
 
-def _sample_pose(rng: np.random.Generator, scanner: Scanner, T_part_test: Floats, turn_deg: float) -> Floats:
+def _sample_pose(rng: np.random.Generator, scanner: Scanner, T_part_test: Floats, rotation_deg: float) -> Floats:
     """Pose T_part_sample (4, 4), turned towards facing the plate about the middle of what the test scan sees of it."""
     axis = np.cross(T_part_test[:3, 2], [0.0, 0.0, -1.0]) + 0.3 * rng.standard_normal(3)
     pivot = np.array([0.0, BEAD_MIDDLE_MM[1], 0.0])
-    turn = rotation_about(axis, np.radians(turn_deg))
-    pose = rigid(turn @ T_part_test[:3, :3], pivot + turn @ (T_part_test[:3, 3] - pivot))
+    moved = rotation_about(axis, np.radians(rotation_deg))
+    pose = rigid(moved @ T_part_test[:3, :3], pivot + moved @ (T_part_test[:3, 3] - pivot))
     seen_mm = float((pivot - pose[:3, 3]) @ pose[:3, 2])
     pose[:3, 3] += (seen_mm - scanner.reference_mm) * pose[:3, 2]
     return pose

@@ -122,9 +122,9 @@ def grinding_part(
         raise InputError(f"the bead is {length_mm} mm long; on this plate it may be {0.5 * BREADTH_MM:.0f} mm")
 
     surface = _standard_surface(relief)
-    x_mid, y_mid, turn_deg = BEAD_PLACE
+    x_mid, y_mid, rotation_deg = BEAD_PLACE
     s = np.linspace(-length_mm / 2, length_mm / 2, int(np.ceil(length_mm / STATION_MM)) + 1)
-    angle = np.radians(turn_deg) + s / 120.0
+    angle = np.radians(rotation_deg) + s / 120.0
     x = x_mid + s * np.cos(angle)
     y = y_mid + s * np.sin(angle)
     normals = surface_normals(surface, x, y)
@@ -154,9 +154,9 @@ def good_part(surface: Surface, relief: float = 1.0) -> GoodPart:
         return float(surface(np.array(x_mm), np.array(y_mm)))
 
     def pillar(
-        outline: m3.CrossSection, place: tuple[float, float], turn_deg: float, low: float, high: float
+        outline: m3.CrossSection, place: tuple[float, float], rotation_deg: float, low: float, high: float
     ) -> m3.Manifold:
-        return m3.Manifold.extrude(outline, high - low).rotate([0, 0, turn_deg]).translate([*place, low])
+        return m3.Manifold.extrude(outline, high - low).rotate([0, 0, rotation_deg]).translate([*place, low])
 
     boss, rib, pocket = (-34.0, 34.0), (34.0, 36.0), (44.0, -30.0)
     disc = m3.CrossSection.circle(13.0, 128)

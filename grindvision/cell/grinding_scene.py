@@ -15,7 +15,7 @@ from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.cell.views import view_from
 from grindvision.errors import InputError
-from grindvision.geometry import angle_between, inverse, move_points, turn_vectors
+from grindvision.geometry import angle_between, inverse, move_points, rotate_vectors
 
 Floats = NDArray[np.float64]
 
@@ -54,10 +54,10 @@ class GrindingScene:
         return self.test.on(BEAD)
 
     def __str__(self) -> str:
-        turn = np.degrees(angle_between(np.eye(3), self.T_sample_test))
+        apart_deg = np.degrees(angle_between(np.eye(3), self.T_sample_test))
         return (
-            f"{self.part}: sample {len(self.sample):,} points, test {len(self.test):,} points, {turn:.1f} deg apart,"
-            f" overlap {self.overlap:.0%}"
+            f"{self.part}: sample {len(self.sample):,} points, test {len(self.test):,} points, {apart_deg:.1f} deg"
+            f" apart, overlap {self.overlap:.0%}"
         )
 
 
@@ -65,30 +65,30 @@ def grinding_scene(
     rng: np.random.Generator,
     relief: float = 1.0,
     overlap: float = 1.0,
-    turn_deg: tuple[float, float] = (20.0, 40.0),
+    rotation_deg: tuple[float, float] = (20.0, 40.0),
     part: GrindingPart | None = None,
     scanner: Scanner | None = None,
     every: int = 1,
 ) -> GrindingScene:
-    """Scan the sample and the test part from two poses that differ by an angle within ``turn_deg``.
+    """Scan the sample and the test part from two poses that differ by an angle within ``rotation_deg``.
 
     Args:
         rng: draws the instrument (its serial), both poses and all noise.
         relief: height of the part's features; 0.2 is the hard part. Not used when ``part`` is given.
         overlap: share of the part that both scans are to see; below 1 the two views move apart along the plate.
-        turn_deg: least and largest rotation between the poses.
+        rotation_deg: smallest and largest rotation between the poses.
         part: made when left out.
         scanner: a structured-light scanner when left out; one that is given keeps its serial.
         every: pixel step; 1 gives about 600,000 points a scan.
 
     Raises:
-        InputError: overlap or turn out of range. SightError: the scanner does not reach the part.
+        InputError: overlap or rotation out of range. SightError: the scanner does not reach the part.
     """
     if not 0.4 <= overlap <= 1:
         raise InputError(f"overlap is {overlap}; choose 0.4 to 1, so that both scans see the bead")
-    low, high = turn_deg
+    low, high = rotation_deg
     if not 0 <= low < high <= 180:
-        raise InputError(f"turn_deg is {low} to {high}; choose a range within 0 to 180")
+        raise InputError(f"rotation_deg is {low} to {high}; choose a range within 0 to 180")
     part = part or grinding_part(relief)
     serial = int(rng.integers(2**31))
     scanner = scanner or StructuredLightScanner(serial=serial)
@@ -99,7 +99,7 @@ def grinding_scene(
         test_pose = _random_view(rng, aside, 14.0, high)
         if low <= np.degrees(angle_between(sample_pose, test_pose)) <= high:
             return scanned_pair(part, scanner, sample_pose, test_pose, rng, every)
-    raise InputError(f"no two views of the part differ by {low} to {high} deg; widen turn_deg")
+    raise InputError(f"no two views of the part differ by {low} to {high} deg; widen rotation_deg")
 
 
 def scanned_pair(
@@ -120,7 +120,7 @@ def scanned_pair(
         test,
         inverse(T_part_sample) @ T_part_test,
         move_points(T_test_part, part.bead.ridge_mm),
-        turn_vectors(T_test_part, part.bead.normals),
+        rotate_vectors(T_test_part, part.bead.normals),
     )
 
 

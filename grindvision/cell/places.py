@@ -10,7 +10,7 @@ from grindvision.geometry import rigid, rotation_about
 
 Floats = NDArray[np.float64]
 
-#: Where a weld piece's own frame stands in the UR3's base: x, y, z of its upper side in mm, turn about z in deg.
+#: Where a weld piece's own frame stands in the UR3's base: x, y, z of its upper side in mm, rotation about z in deg.
 PLACES = {
     "line": (300.0, 0.0, 12.0, 90.0),
     "curve": (300.0, 0.0, 12.0, 90.0),
@@ -30,5 +30,5 @@ def T_base_piece(kind: str) -> Floats:
     """
     if kind not in PLACES:
         raise InputError(f"no place for a piece {kind!r}; there are {', '.join(PLACES)}")
-    x_mm, y_mm, top_mm, turn_deg = PLACES[kind]
-    return rigid(rotation_about([0, 0, 1], np.radians(turn_deg)), [x_mm, y_mm, top_mm])
+    x_mm, y_mm, top_mm, rotation_deg = PLACES[kind]
+    return rigid(rotation_about([0, 0, 1], np.radians(rotation_deg)), [x_mm, y_mm, top_mm])

@@ -15,7 +15,7 @@ from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
-from grindvision.geometry import SphereFit, inverse, move_points, rigid, turn_vectors
+from grindvision.geometry import SphereFit, inverse, move_points, rigid, rotate_vectors
 from grindvision.geometry.ransac import ransac_sphere
 
 Floats = NDArray[np.float64]
@@ -170,4 +170,4 @@ def sphere_centre_errors(
 
 def nest_directions(T_base_scanner: ArrayLike) -> Floats:
     """Downward direction (K, 3) in the scanner frames of poses (K, 4, 4)."""
-    return np.stack([turn_vectors(inverse(pose), [0.0, 0.0, -1.0]) for pose in np.asarray(T_base_scanner)])
+    return np.stack([rotate_vectors(inverse(pose), [0.0, 0.0, -1.0]) for pose in np.asarray(T_base_scanner)])

@@ -15,7 +15,7 @@ from grindvision.cell.scanners import DepthCamera, Scanner
 from grindvision.cell.views import view_from
 from grindvision.cell.weld_pieces import GROOVE, Groove, WeldPiece, weld_piece
 from grindvision.errors import SightError
-from grindvision.geometry import inverse, move_points, turn_vectors, vector_angle
+from grindvision.geometry import inverse, move_points, rotate_vectors, vector_angle
 
 Floats = NDArray[np.float64]
 
@@ -99,8 +99,8 @@ def weld_scene(
         scan,
         scan.on(GROOVE),
         move_points(T_camera_piece, piece.root_mm[seen]),
-        turn_vectors(T_camera_piece, piece.tangents[seen]),
-        turn_vectors(T_camera_piece, piece.normals[seen]),
+        rotate_vectors(T_camera_piece, piece.tangents[seen]),
+        rotate_vectors(T_camera_piece, piece.normals[seen]),
     )
 
 

@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.detect_picture import draw
     from grindvision.clouds import finite_points, write_ply
     from grindvision.files import write_text
-    from grindvision.geometry import move_points, turn_vectors
+    from grindvision.geometry import move_points, rotate_vectors
     from grindvision.vision.change.detection import STAGES, DetectOptions, detect
 
     field = read_correction(options.field_correction, options.test_viewpoint)
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
             write_text(work.place / "path.csv", rows_text(PATH_COLUMNS, found.path_points, found.path_normals))
             if T_base_scanner is not None:
                 points = move_points(T_base_scanner, found.path_points)
-                normals = turn_vectors(T_base_scanner, found.path_normals)
+                normals = rotate_vectors(T_base_scanner, found.path_normals)
                 write_text(work.place / "path_base.csv", rows_text(PATH_COLUMNS, points, normals))
             write_ply(work.place / "difference.ply", found.difference.points)
         with work.stage("picture"):

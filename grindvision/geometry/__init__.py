@@ -19,13 +19,16 @@ from grindvision.geometry.transforms import (
     orthonormalised,
     random_rotation,
     rigid,
+    rotate_vectors,
     rotation_about,
     rotation_axis,
     skew,
     small_motion,
-    turn_vectors,
     vector_angle,
 )
+from grindvision.lazy import lazy_names
+
+_, __getattr__ = lazy_names(__name__, {}, {"turn_vectors": "rotate_vectors"})
 
 __all__ = [
     "PlaneFit",
@@ -44,10 +47,10 @@ __all__ = [
     "orthonormalised",
     "random_rotation",
     "rigid",
+    "rotate_vectors",
     "rotation_about",
     "rotation_axis",
     "skew",
     "small_motion",
-    "turn_vectors",
     "vector_angle",
 ]

@@ -33,8 +33,8 @@ class RigidFit:
 class PlaneFit:
     """Plane ``normal . p = offset_mm`` with unit ``normal`` (3,), ``covariance`` (3, 3) of tilt, tilt and offset.
 
-    ``axes`` (2, 3) span the plane; the covariance belongs to the rotations about them (rad) and to the shift along the
-    normal at ``centre_mm`` (mm). ``inliers`` (N,) marks the points used.
+    ``axes`` (2, 3) span the plane; the covariance belongs to the rotations about them (rad) and to the translation
+    along the normal at ``centre_mm`` (mm). ``inliers`` (N,) marks the points used.
     """
 
     normal: Floats

@@ -37,8 +37,8 @@ def move_points(T_to_from: ArrayLike, points_from: ArrayLike) -> Floats:
     return np.asarray(points_from, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
 
 
-def turn_vectors(T_to_from: ArrayLike, vectors_from: ArrayLike) -> Floats:
-    """Express directions such as normals (..., 3) given in frame ``from`` in frame ``to``; no shift."""
+def rotate_vectors(T_to_from: ArrayLike, vectors_from: ArrayLike) -> Floats:
+    """Express directions such as normals (..., 3) given in frame ``from`` in frame ``to``; no translation."""
     return np.asarray(vectors_from, dtype=float) @ np.asarray(T_to_from, dtype=float)[:3, :3].T
 
 
@@ -46,8 +46,10 @@ def angle_between(rotation_a: ArrayLike, rotation_b: ArrayLike) -> float:
     """Angle in radians, 0..pi, of the rotation that leads from one rotation (3, 3) or transform (4, 4) to another."""
     a = np.asarray(rotation_a, dtype=float)[:3, :3]
     b = np.asarray(rotation_b, dtype=float)[:3, :3]
-    turn = nearest_rotation(a.T @ b)
-    return float(2 * np.arctan2(np.linalg.norm(turn - np.eye(3)), np.sqrt(8 * max(np.trace(turn) / 4 + 0.25, 0.0))))
+    relative = nearest_rotation(a.T @ b)
+    return float(
+        2 * np.arctan2(np.linalg.norm(relative - np.eye(3)), np.sqrt(8 * max(np.trace(relative) / 4 + 0.25, 0.0)))
+    )
 
 
 def vector_angle(a: ArrayLike, b: ArrayLike) -> Floats:
@@ -129,7 +131,7 @@ def rotation_about(axis: ArrayLike, angle_rad: float) -> Floats:
 
 
 def small_motion(twist: ArrayLike) -> Floats:
-    """Rigid transform (4, 4) of a twist (6,): shift in mm, then rotation vector in rad, not coupled."""
+    """Rigid transform (4, 4) of a twist (6,): translation in mm, then rotation vector in rad, not coupled."""
     twist = np.asarray(twist, dtype=float)
     return rigid(_rotation(twist[3:]), twist[:3])
 
@@ -143,9 +145,9 @@ def random_rotation(rng: np.random.Generator) -> Floats:
 
 def rotation_axis(rotation: ArrayLike) -> Floats:
     """Unit vector (3,) about which a rotation (3, 3) turns by an angle of 0..pi; any one for no rotation at all."""
-    turn = np.asarray(rotation, dtype=float)
-    axis = np.linalg.svd(turn - np.eye(3))[2][2]
-    sense = axis @ [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    matrix = np.asarray(rotation, dtype=float)
+    axis = np.linalg.svd(matrix - np.eye(3))[2][2]
+    sense = axis @ [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     return -axis if sense < 0 else axis
 
 

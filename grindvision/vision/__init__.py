@@ -10,8 +10,7 @@ Names are fetched from their modules when first used; what is not listed here is
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from grindvision.lazy import lazy_names
 
 _HOMES = {
     "registration.icp": ("icp_generalised", "icp_points"),
@@ -28,12 +27,4 @@ _HOMES = {
     "seam.weld": ("Weld", "trace_weld"),
     "depth_calibration.field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
-
-__all__ = sorted(_HOME_OF)
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME_OF:
-        return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__all__, __getattr__ = lazy_names(__name__, _HOMES)

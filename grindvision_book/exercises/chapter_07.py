@@ -18,7 +18,7 @@ def _paths(rng: np.random.Generator) -> list[tuple[Floats, Floats, Floats]]:
 
 def path_in_base(T_base_scanner: Floats, points: Floats, normals: Floats) -> Floats:
     """Points moved, normals turned."""
-    moved, turned = geometry.move_points(T_base_scanner, points), geometry.turn_vectors(T_base_scanner, normals)
+    moved, turned = geometry.move_points(T_base_scanner, points), geometry.rotate_vectors(T_base_scanner, normals)
     return np.column_stack([moved, turned])
 
 
@@ -99,7 +99,7 @@ EXERCISES = (
                 "points turned but not shifted",
                 "The base does not stand where the scanner is.",
                 lambda T, points, normals: np.column_stack(
-                    [geometry.turn_vectors(T, points), geometry.turn_vectors(T, normals)]
+                    [geometry.rotate_vectors(T, points), geometry.rotate_vectors(T, normals)]
                 ),
             ),
             Mistake(

@@ -121,7 +121,7 @@ def draw_registration(plotter: pyvista.Plotter, most_points: int) -> None:
     surfels = geometry.move_points(T_sample_test, found.difference.surfels[shown])
     _dots(plotter, place(surfels, 2), found.difference.signed_mm[shown])
     path = geometry.move_points(T_sample_test, found.path_points)
-    normals = geometry.turn_vectors(level @ T_sample_test, found.path_normals)
+    normals = geometry.rotate_vectors(level @ T_sample_test, found.path_normals)
     frames.draw_path(plotter, place(path, 2), normals, COLOURS["ours"], length_mm=18, radius_mm=1.4)
     below = geometry.move_points(level, sample)[:, 1].min() - 22.0
     for column, title in enumerate(("as scanned", "registered", "difference and path")):
@@ -139,7 +139,7 @@ def draw_cell(plotter: pyvista.Plotter, most_points: int) -> None:
     q_rad = arms.nearest_angles(nominal, T_base_joint4, np.random.default_rng(SEED), starts=25)[0].q_rad
     joints = frames.draw_arm(plotter, nominal, q_rad)
     frames.draw_scanner(plotter, T_base_scanner)
-    facing = geometry.turn_vectors(T_base_scanner, normals_scanner * [-1, -1, 1])
+    facing = geometry.rotate_vectors(T_base_scanner, normals_scanner * [-1, -1, 1])
     frames.draw_path(plotter, points_base, facing, COLOURS["test"], length_mm=70, radius_mm=4)
     direction = np.array([-0.34, -0.94, 0.33])
     facing_reader = _facing(direction, [0.0, 0.0, 1.0])

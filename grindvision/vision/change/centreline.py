@@ -144,8 +144,8 @@ def _prune(links: list[set[int]], amounts: Integers) -> None:
 def _counterclockwise(places: Floats, normal: Floats) -> Floats:
     """Places (M, 3) of a closed curve, from the same first one, in the sense that turns about ``normal`` (3,)."""
     spokes = places - places.mean(axis=0)
-    turns = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal
-    return places if turns > 0 else np.roll(places[::-1], 1, axis=0)
+    area = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal
+    return places if area > 0 else np.roll(places[::-1], 1, axis=0)
 
 
 def _directed(places: Floats) -> Floats:

@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
-from grindvision.geometry import check_points, inverse, move_points, turn_vectors
+from grindvision.geometry import check_points, inverse, move_points, rotate_vectors
 from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
 from grindvision.geometry.neighbours import nearest
 from grindvision.vision.change.visibility import in_front, surrounded
@@ -169,7 +169,7 @@ def _pose_variance(registration: FineRegistration, points: Floats, normals: Floa
     if not np.isfinite(registration.covariance).all():
         return np.zeros(len(points))
     transform = registration.T_target_source
-    up = turn_vectors(transform, normals)
+    up = rotate_vectors(transform, normals)
     jacobian = np.column_stack([up, np.cross(move_points(transform, points) - registration.centre_mm, up)])
     return np.einsum("ij,ij->i", jacobian @ registration.covariance, jacobian)
 

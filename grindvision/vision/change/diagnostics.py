@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
-from grindvision.geometry import inverse, move_points, rotation_about, turn_vectors
+from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_about
 from grindvision.geometry.hash_grid import bounds
 from grindvision.vision.change.change_detection import Difference, find_difference
 from grindvision.vision.registration.deformable import block_covariance
@@ -138,12 +138,13 @@ def relative_scale(
     """How many times larger the test scan is than the sample, and the standard deviation of that for errors
     that are alike over a quarter of the scan, as those of a scanner are; infinite where the surface does not tell.
 
-    Point-to-plane steps for shift, turn and scale from the registered pose, with Tukey's weights: beads do not count.
+    Point-to-plane steps for translation, rotation and scale from the registered pose, with Tukey's weights: beads do
+    not count.
     """
     good, transform = sample.surfels, registration.T_target_source
     chosen = np.random.default_rng(0).permutation(len(test.surfels))[:surfels]
     places = move_points(transform, test.surfels.points[chosen])
-    facing = turn_vectors(transform, test.surfels.normals[chosen])
+    facing = rotate_vectors(transform, test.surfels.normals[chosen])
     scale, deviation = 1.0, np.inf
     for _ in range(steps):
         heights, normals, _ = heights_above(good, places, 2 * good.grid.size_mm)
@@ -166,8 +167,8 @@ def relative_scale(
             return 1.0, np.inf
         scale *= 1 + change[6]
         deviation = float(np.sqrt(block_covariance(places[shown], design, rest, weights, square, across=4)[6, 6]))
-        turn = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
-        places = (1 + change[6]) * (places - centre) @ turn.T + centre + change[:3]
+        rotation = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
+        places = (1 + change[6]) * (places - centre) @ rotation.T + centre + change[:3]
         if abs(change[6]) < MOST_SCALE / 20:
             break
     return 1 / scale, deviation
@@ -179,11 +180,11 @@ def _missing_material(sample: Scan, test: Scan, registration: FineRegistration) 
     Empty where nothing does. ``registration`` is T_sample_test.
     """
     back = inverse(registration.T_target_source)
-    turn = np.kron(np.eye(2), back[:3, :3])
+    rotation = np.kron(np.eye(2), back[:3, :3])
     backwards = replace(
         registration,
         T_target_source=back,
-        covariance=turn @ registration.covariance @ turn.T,
+        covariance=rotation @ registration.covariance @ rotation.T,
         centre_mm=move_points(back, registration.centre_mm),
     )
     try:

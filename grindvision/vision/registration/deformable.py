@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry import move_points, rigid, small_motion, turn_vectors
+from grindvision.geometry import move_points, rigid, rotate_vectors, small_motion
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.signed_distance import heights_above
@@ -45,7 +45,7 @@ def refine_bent(
     for _ in range(iterations):
         moved = move_points(transform, source)
         residual, up, variance = heights_above(target, moved, 2 * size)
-        used = ~np.isnan(residual) & ((turn_vectors(transform, normals) * up).sum(axis=1) > 0.7)
+        used = ~np.isnan(residual) & ((rotate_vectors(transform, normals) * up).sum(axis=1) > 0.7)
         moved, up, residual, variance = moved[used], up[used], residual[used], variance[used]
         centre = moved.mean(axis=0)
         hidden, bends = _fields(moved - centre)

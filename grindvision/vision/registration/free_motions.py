@@ -16,37 +16,42 @@ def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: f
     motion = pose @ inverse(reference)
     angle = angle_between(motion, np.eye(4))
     centre = move_points(reference, centre_mm)
-    shift = move_points(motion, centre) - centre
-    if angle * extent_mm > 0.3 * np.linalg.norm(shift):
+    translation = move_points(motion, centre) - centre
+    if angle * extent_mm > 0.3 * np.linalg.norm(translation):
         axis = rotation_axis(motion[:3, :3])
-        pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ shift
+        pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ translation
         x, y, z, a, b, c = *axis, *pivot
         return (
-            f"a turn (here by {np.degrees(angle):.0f} deg) about the axis ({x:.2f}, {y:.2f}, {z:.2f})"
+            f"a rotation (here by {np.degrees(angle):.0f} deg) about the axis ({x:.2f}, {y:.2f}, {z:.2f})"
             f" through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
         )
-    x, y, z = shift / np.linalg.norm(shift)
-    return f"a shift (here by {np.linalg.norm(shift):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
+    x, y, z = translation / np.linalg.norm(translation)
+    return f"a translation (here by {np.linalg.norm(translation):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def motion_names(twists: Floats, extent: float, centre: Floats) -> list[str]:
-    """In words, a basis of the motions that columns of ``twists`` (6, k) span: pure shifts first, then turns.
+    """In words, a basis of the motions that columns of ``twists`` (6, k) span: pure translations first, then rotations.
 
-    A twist is a shift in mm and a rotation vector in rad about ``centre`` (3,).
+    A twist is a translation in mm and a rotation vector in rad about ``centre`` (3,).
     """
     scaled = twists / np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])[:, None] / extent
-    _, turning, mix = np.linalg.svd(scaled[3:])
-    turning = np.pad(turning, (0, max(scaled.shape[1] - len(turning), 0)))[: scaled.shape[1]]
+    _, rotating, mix = np.linalg.svd(scaled[3:])
+    rotating = np.pad(rotating, (0, max(scaled.shape[1] - len(rotating), 0)))[: scaled.shape[1]]
     basis = scaled @ mix.T
-    shifts = basis[:3, turning < 0.3]
-    names = ["a shift along ({:.2f}, {:.2f}, {:.2f})".format(*(shift / np.linalg.norm(shift))) for shift in shifts.T]
-    along = np.linalg.qr(shifts)[0] if shifts.size else np.zeros((3, 0))
-    for column in basis[:, turning >= 0.3].T:
+    translations = basis[:3, rotating < 0.3]
+    names = [
+        "a translation along ({:.2f}, {:.2f}, {:.2f})".format(*(translation / np.linalg.norm(translation)))
+        for translation in translations.T
+    ]
+    along = np.linalg.qr(translations)[0] if translations.size else np.zeros((3, 0))
+    for column in basis[:, rotating >= 0.3].T:
         rotation = column[3:]
-        shift = (column[:3] - along @ (along.T @ column[:3])) * extent
-        pivot = centre + np.cross(rotation, shift) / (rotation @ rotation)
+        translation = (column[:3] - along @ (along.T @ column[:3])) * extent
+        pivot = centre + np.cross(rotation, translation) / (rotation @ rotation)
         axis = rotation / np.linalg.norm(rotation)
         names.append(
-            "a turn about the axis ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(*axis, *pivot)
+            "a rotation about the axis ({:.2f}, {:.2f}, {:.2f}) through ({:.0f}, {:.0f}, {:.0f}) mm".format(
+                *axis, *pivot
+            )
         )
     return names

@@ -24,8 +24,8 @@ class FineRegistration:
     """A pose refined by ICP.
 
     ``rms_mm`` of the matched residuals (along the normal where planes are used); ``overlap``: matched share of the
-    source; ``information`` (6, 6): sum of the Jacobians' squares for a shift (mm) followed by a turn (rad) about
-    ``centre_mm``, target frame; ``covariance`` its inverse times the residuals' variance, NaN where singular;
+    source; ``information`` (6, 6): sum of the Jacobians' squares for a translation (mm) followed by a rotation (rad)
+    about ``centre_mm``, target frame; ``covariance`` its inverse times the residuals' variance, NaN where singular;
     ``hidden_covariance`` (6, 6): what distortion may add that looks like a motion and so shows in no residual;
     ``mean_squares_mm2``: the mean squared residual after each iteration.
     """
@@ -138,7 +138,8 @@ def icp_generalised(
     if result.num_inliers < 12:
         raise DegenerateError(f"only {result.num_inliers} points of the scans meet within {most_mm:.3g} mm")
     error = 2 * result.error / result.num_inliers
-    # small_gicp moves the source: turn first, then shift, in its frame; ours is shift, then turn about the centre
+    # small_gicp moves the source: rotation first, then translation, in its frame; ours is translation, then rotation
+    # about the centre
     back = result.T_target_source[:3, :3].T
     change = np.block([[np.zeros((3, 3)), back], [back, skew(source.mean(axis=0)) @ back]])
     found = registration_result(

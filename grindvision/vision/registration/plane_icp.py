@@ -146,8 +146,9 @@ def _match(
 
 
 @njit(cache=True, nogil=True)
-def _turn_and_shift(transform, centre, step):
-    """Add a shift ``step[:3]`` and a rotation vector ``step[3:]`` about ``centre``, in place, and return its angle."""
+def _rotate_and_translate(transform, centre, step):
+    """Add a translation ``step[:3]`` and a rotation vector ``step[3:]`` about ``centre``, in place, and return its
+    angle."""
     angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
     axis = step[3:] / max(angle, 1e-300)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -229,8 +230,8 @@ def _plane_icp(
             damped[a, a] += 1e-6 * total
             damped[3 + a, 3 + a] += 1e-6 * total * extent
         step = solve_definite(damped, right)
-        turn = _turn_and_shift(current, centre, step)
-        if np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) + turn * np.sqrt(extent) < 1e-3 * scale:
+        rotation = _rotate_and_translate(current, centre, step)
+        if np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) + rotation * np.sqrt(extent) < 1e-3 * scale:
             converged = True
             break
     return current, matrix, centre, errors[: max(done, 1)].copy(), total, pairs, converged

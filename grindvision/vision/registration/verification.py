@@ -2,8 +2,9 @@
 
 Every proposed pose is refined by point-to-plane ICP and judged by what it says about each surfel of the source: it
 agrees with the target's surface, contradicts it, or lies where the target shows nothing. Then rivals are sought on
-purpose: the other proposals, the turns of a box and of wheels about the scan's own axes, and slides along the motions
-the surface resists least. A rival that fits as well as the best means that the scans leave the pose open: refused.
+purpose: the other proposals, the rotational symmetries of a box and of wheels about the scan's own axes, and steps
+along the motions the surface resists least. A rival that fits as well as the best means that the scans leave the pose
+open: refused.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ MOST_WORSE = 1.25
 LEAST_SCORE = 0.2
 """Least agreeing share of the source less the contradicting one: of a small overlap more must agree."""
 
-BOX_TURNS = tuple(
-    turn
+BOX_ROTATIONS = tuple(
+    rotation
     for axes in permutations(range(3))
     for signs in product((1.0, -1.0), repeat=3)
-    if np.linalg.det(turn := np.eye(3)[list(axes)] * signs) > 0 and np.trace(turn) < 3
+    if np.linalg.det(rotation := np.eye(3)[list(axes)] * signs) > 0 and np.trace(rotation) < 3
 )
 """The 23 rotations (3, 3) that bring a box back to its axes, but for none at all."""
 
-WHEEL_TURNS = tuple(
+WHEEL_ROTATIONS = tuple(
     rotation_about(axis, sign * 2 * np.pi / folds) for axis in np.eye(3) for folds in (3, 5, 7) for sign in (1, -1)
 )
 """Rotations (3, 3) about the axes that bring wheels with 3, 5, 7 or so many times more spokes back to themselves; those
@@ -114,7 +115,7 @@ def choose_pose(
             " are they scans of the same part, from nearby views?"
         )
     judge.refuse_free_motions(best, verdict)
-    candidates += judge.turned(best, verdict, BOX_TURNS, 0.6) + judge.turned(best, verdict, WHEEL_TURNS, 0.9)
+    candidates += judge.rotated(best, verdict, BOX_ROTATIONS, 0.6) + judge.rotated(best, verdict, WHEEL_ROTATIONS, 0.9)
     first, (best, verdict) = best, max(candidates, key=lambda candidate: candidate[1].score)
     if best is not first:
         judge.refuse_free_motions(best, verdict)
@@ -184,8 +185,8 @@ class _Judge:
 
     def differ(self, pose: Floats, other: Floats) -> bool:
         """Whether two poses are apart by more than 2 % of the extent or 3 degrees."""
-        shift = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
-        return bool(shift > 0.04 * self.extent or angle_between(pose, other) > np.radians(3))
+        translation = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
+        return bool(translation > 0.04 * self.extent or angle_between(pose, other) > np.radians(3))
 
     def fits_as_well(self, other: FineRegistration, best: FineRegistration) -> bool:
         """Whether another pose leaves residuals hardly larger than the best one's, on the points that both can judge.
@@ -204,19 +205,20 @@ class _Judge:
         costs = [np.minimum((one[both] / cut) ** 2, 1).mean() for one in (best_residual, residual)]
         return bool(costs[1] < MOST_WORSE * costs[0])
 
-    def turned(
-        self, best: FineRegistration, verdict: Agreement, turns: Sequence[Floats], least: float
+    def rotated(
+        self, best: FineRegistration, verdict: Agreement, rotations: Sequence[Floats], least: float
     ) -> list[tuple[FineRegistration, Agreement]]:
-        """The best few ``turns`` about the source's principal axes, refined; ``least`` is a share of what agrees."""
+        """The best few ``rotations`` about the source's principal axes, refined; ``least`` is a share of what
+        agrees."""
         _, axes = np.linalg.eigh(np.cov(self.points.T))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         poses = np.stack(
             [
                 best.T_target_source
                 @ rigid(None, self.centre)
-                @ rigid(axes @ turn @ axes.T)
+                @ rigid(axes @ rotation @ axes.T)
                 @ rigid(None, -self.centre)
-                for turn in turns
+                for rotation in rotations
             ]
         )
         rough = np.array(
@@ -231,20 +233,20 @@ class _Judge:
         return self.refined_all(poses, least * verdict.agreeing)
 
     def refuse_free_motions(self, best: FineRegistration, verdict: Agreement) -> None:
-        """Slide along the three motions the surface resists least; refuse when the scans fit there as well."""
+        """Step along the three motions the surface resists least; refuse when the scans fit there as well."""
         scale = np.array([1, 1, 1, 1 / self.extent, 1 / self.extent, 1 / self.extent])
         _, directions = np.linalg.eigh(best.information * np.outer(scale, scale))
         to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
         resisted_least = directions[:, :3]
-        slides = [small_motion(0.12 * self.extent * twist * scale) for twist in resisted_least.T]
-        slid = side_by_side(self.refined, [back @ slide @ to_centre @ best.T_target_source for slide in slides])
+        trials = [small_motion(0.12 * self.extent * twist * scale) for twist in resisted_least.T]
+        tried_poses = side_by_side(self.refined, [back @ trial @ to_centre @ best.T_target_source for trial in trials])
         free = [
             one is not None
             and self.differ(one[0].T_target_source, best.T_target_source)
             and one[1].share > verdict.share - LEAST_MARGIN
             and one[1].overlap > 0.7 * verdict.overlap
             and self.fits_as_well(one[0], best)
-            for one in slid
+            for one in tried_poses
         ]
         if any(free):
             names = motion_names(resisted_least[:, free] * scale[:, None] * self.extent, self.extent, best.centre_mm)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.geometry import inverse, move_points, turn_vectors, vector_angle
+from grindvision.geometry import inverse, move_points, rotate_vectors, vector_angle
 from grindvision.parallel import side_by_side
 from grindvision.vision.seam.groove_profile import (
     BEND,
@@ -141,7 +141,7 @@ def groove_lines(
         root[:turns],
         left[:turns],
         right[:turns],
-        turn_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True))[:turns],
+        rotate_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True))[:turns],
         (smooth[:, RIGHT] - smooth[:, LEFT])[first:last][:turns],
         smooth[first:last, DEPTH][:turns],
         theta.deviation[first:last, ROOT][:turns],

@@ -104,10 +104,10 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
         hidden |= np.abs(depth - depth[end]) > explained
     if hidden.mean() > MOST_HIDDEN:
         return None
-    turned = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
-    bulge = float((turned * away).sum())
+    facing_normals = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
+    bulge = float((facing_normals * away).sum())
     nearly_flat = abs(bulge) <= 0.1 * np.linalg.norm(away, axis=1).sum()
-    return direction if (turned[:, 2].sum() if nearly_flat else bulge) >= 0 else -direction
+    return direction if (facing_normals[:, 2].sum() if nearly_flat else bulge) >= 0 else -direction
 
 
 def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floats | None:

@@ -1,0 +1,33 @@
+"""Names of a package that are fetched from their modules when first used, and old names that warn for one version."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+
+def lazy_names(
+    package: str, homes: Mapping[str, Sequence[str]], renamed: Mapping[str, str] | None = None
+) -> tuple[list[str], Callable[[str], Any]]:
+    """``__all__`` and ``__getattr__`` of ``package``: ``homes`` lists the names by the module they are fetched from.
+
+    ``renamed`` gives old names: the new name in the same package, or ``module:name`` for what stands in for the old one
+    (its arguments may have changed). They work, are not listed, and raise a ``DeprecationWarning``.
+    """
+    home_of = {name: module for module, names in homes.items() for name in names}
+    old = dict(renamed or {})
+
+    def get(name: str) -> Any:
+        if name in home_of:
+            return getattr(import_module(f"{package}.{home_of[name]}"), name)
+        if name in old:
+            module, _, new = old[name].rpartition(":")
+            warnings.warn(
+                f"{package}.{name} is now {new}; the old name goes with the next version", DeprecationWarning, 2
+            )
+            return getattr(import_module(f"{package}.{module}" if module else package), new)
+        raise AttributeError(f"module {package} has no {name}")
+
+    return sorted(home_of), get
