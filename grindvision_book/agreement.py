@@ -1,76 +1,154 @@
-"""Compares rebuilt figures and tables with the committed ones: the values in their CSV files, never pixels."""
+"""Whether rebuilt figures, tables and answers say what the committed ones say: by their data, never by pixels.
+
+How far apart two values may be is stated in ``agreement.csv``, by the unit that a column's name ends in, with
+exceptions by file. One unit in the last digit written is allowed on top: a value on the edge of two roundings may fall
+either way.
+"""
 
 from __future__ import annotations
 
+import io
+import re
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
+
+from grindvision.errors import FileError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-RELATIVE = 1e-3
-ABSOLUTE = 1e-3
-_GENERATED = ("scoreboard", "answers_")
-_RACES = "bench_"
+#: Files by name: what a folder of figures holds.
+Files = Mapping[str, bytes]
+
+TOLERANCES = Path(__file__).with_name("agreement.csv")
+_SUFFIX_OF_UNIT = {"%": "percent", "1": "", "um": "um", "mm": "mm", "deg": "deg", "s": "s"}
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
-def disagreements(rebuilt: Path, committed: Path) -> list[str]:
-    """One line for everything in which two figure folders differ; empty when they agree.
+def files_in(folder: Path) -> dict[str, bytes]:
+    """What the files of a folder hold, by name."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
-    Numbers agree within 1e-3 of their size or 1e-3 absolute; columns ending in ``_s`` and answers in seconds are times
-    and are not compared; texts must be equal. A figure has svg, png and csv (and a gif where it
-    moves), a table csv and md. What ``./run bench`` makes, ``bench_...``, belongs to no chapter.
-    """
-    names = {
-        folder: {path.name for path in folder.iterdir() if not path.name.startswith(_RACES)}
-        for folder in (rebuilt, committed)
-    }
-    found = [f"{name}: committed, but no chapter makes it" for name in sorted(names[committed] - names[rebuilt])]
-    found += [
-        f"{name}: a chapter makes it, but it is not committed" for name in sorted(names[rebuilt] - names[committed])
-    ]
-    for stem in sorted({Path(name).stem for name in names[committed]}):
-        suffixes = {Path(name).suffix for name in names[committed] if Path(name).stem == stem}
-        if suffixes - {".gif"} not in ({".svg", ".png", ".csv"}, {".csv", ".md"}) and not stem.startswith(_GENERATED):
-            found.append(f"{stem}: has {', '.join(sorted(suffixes))}; a figure has svg, png, csv, a table csv, md")
-    for name in sorted(names[committed] & names[rebuilt]):
+
+def of_one_name(files: Files, stem: str) -> dict[str, bytes]:
+    """The files of one figure, table or set of answers."""
+    return {name: content for name, content in files.items() if Path(name).stem == stem}
+
+
+def disagreements(rebuilt: Files, committed: Files) -> list[str]:
+    """One line for everything in which two sets of files differ; empty when they agree."""
+    stems = sorted({Path(name).stem for name in (*rebuilt, *committed)})
+    return [line for stem in stems for line in differences(of_one_name(rebuilt, stem), of_one_name(committed, stem))]
+
+
+def differences(rebuilt: Files, committed: Files) -> list[str]:
+    """One line for everything in which two versions of one figure, table or set of answers differ."""
+    found = [f"{name}: committed, but not made" for name in sorted(committed.keys() - rebuilt.keys())]
+    found += [f"{name}: made, but not committed" for name in sorted(rebuilt.keys() - committed.keys())]
+    for name in sorted(rebuilt.keys() & committed.keys()):
+        if rebuilt[name] == committed[name]:
+            continue
         if name.endswith(".csv"):
-            found += [f"{name}: {line}" for line in _different_values(_read(rebuilt / name), _read(committed / name))]
+            tables = [_table(name, files[name]) for files in (rebuilt, committed)]
+            found += [f"{name}: {line}" for line in _different_values(name, *tables)]
+        elif not _same_words(*(_words(name, files[name]) for files in (rebuilt, committed))):
+            found.append(f"{name}: other words in its caption or text")
     return found
 
 
-def _read(path: Path) -> pd.DataFrame:
-    """A CSV as text, without the rows that are times of a run."""
+def tolerance(file: str, column: str) -> tuple[float, float]:
+    """Largest absolute and relative difference of two values that say the same: the first row of the table that fits.
+
+    Raises:
+        FileError: the table of tolerances has no row for it, or is damaged.
+    """
+    for pattern, columns, absolute, relative in _tolerances():
+        if fnmatchcase(file, pattern) and fnmatchcase(column, columns):
+            return absolute, relative
+    raise FileError(f"{TOLERANCES}: no row fits {file}, column {column}; its last row should fit everything")
+
+
+@cache
+def _tolerances() -> list[tuple[str, str, float, float]]:
+    from grindvision.files import read_table
+
+    table = read_table(TOLERANCES, ("absolute", "relative"), ("file", "column", "reason"))
+    return list(table[["file", "column", "absolute", "relative"]].itertuples(index=False, name=None))
+
+
+def _table(name: str, content: bytes) -> pd.DataFrame:
     import pandas as pd
 
-    table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    if path.stem.startswith(_GENERATED):
-        from grindvision.paper import expected
-
-        rows = expected()
-        times = set(rows.loc[rows["unit"] == "s", ["item", "quantity"]].itertuples(index=False, name=None))
-        kept = [key not in times for key in zip(table["item"], table["quantity"], strict=True)]
-        table = table[kept].reset_index(drop=True)
-    return table
+    return pd.read_csv(io.BytesIO(content), dtype=str, keep_default_na=False)
 
 
-def _different_values(rebuilt: pd.DataFrame, committed: pd.DataFrame) -> list[str]:
-    import numpy as np
-    import pandas as pd
-
+def _different_values(name: str, rebuilt: pd.DataFrame, committed: pd.DataFrame) -> list[str]:
     if list(rebuilt.columns) != list(committed.columns):
         return [f"columns {', '.join(rebuilt.columns)}; committed {', '.join(committed.columns)}"]
     if len(rebuilt) != len(committed):
         return [f"{len(rebuilt)} rows; committed {len(committed)}"]
-    found = []
-    for column in (column for column in committed.columns if not column.endswith("_s")):
+    stem, found = Path(name).stem, []
+    for column in committed.columns:
         now, then = rebuilt[column], committed[column]
-        numbers = [pd.to_numeric(values, errors="coerce").to_numpy(dtype=float) for values in (now, then)]
-        close = np.isclose(*numbers, rtol=RELATIVE, atol=ABSOLUTE)
-        bad = ~(close | (now == then).to_numpy())
+        if stem.startswith("answers_") and column == "rebuilt":
+            allowed = np.array([tolerance(stem, f"{stem}_{suffix}") for suffix in _suffixes(committed)])
+        else:
+            allowed = np.array([tolerance(stem, column)])
+        bad = ~_close(now, then, *allowed.T)
         if bad.any():
             row = int(bad.argmax())
             found.append(
-                f"column {column}: {bad.sum()} values differ, first {now[row]} (committed {then[row]}), row {row + 1}"
+                f"column {column}: {bad.sum()} of {len(bad)} values differ, first {now[row]} (committed {then[row]}), "
+                f"row {row + 1}"
             )
     return found
+
+
+def _close(rebuilt: pd.Series, committed: pd.Series, absolute: np.ndarray, relative: np.ndarray) -> np.ndarray:
+    """Which values of two columns of text say the same."""
+    import pandas as pd
+
+    now, then = (pd.to_numeric(values, errors="coerce").to_numpy(dtype=float) for values in (rebuilt, committed))
+    digits = max(map(_decimals, committed), default=0)
+    last_digit = 10.0**-digits if digits and (absolute > 0).any() else 0.0
+    near = np.abs(now - then) <= absolute + relative * np.abs(then) + 1.001 * last_digit
+    return near | (rebuilt == committed).to_numpy()
+
+
+def _decimals(text: str) -> int:
+    """Digits behind the point of a number as it is written."""
+    mantissa, _, exponent = text.lower().partition("e")
+    shift = int(exponent) if exponent.lstrip("+-").isdigit() else 0
+    return max(len(mantissa.partition(".")[2]) - shift, 0)
+
+
+def _suffixes(answers: pd.DataFrame) -> list[str]:
+    """The unit of each answer, as a column's name would end in it."""
+    from grindvision.paper import expected
+
+    units = expected().set_index(["item", "quantity"])["unit"]
+    keys = zip(answers["item"], answers["quantity"], strict=True)
+    return [_SUFFIX_OF_UNIT.get(str(units.get(key, "")), "") for key in keys]
+
+
+def _words(name: str, content: bytes) -> str:
+    """What a file tells in words: the text of a table's page, the caption of a drawing, nothing of other pictures."""
+    if name.endswith(".md"):
+        return content.decode("utf-8").rpartition("\n\n")[2]
+    if name.endswith(".svg"):
+        found = re.search(r"<dc:description>(.*?)</dc:description>", content.decode("utf-8"), re.DOTALL)
+        return found[1] if found else ""
+    return ""
+
+
+def _same_words(rebuilt: str, committed: str) -> bool:
+    """Whether two texts agree, numbers in them up to one unit of their last digit."""
+    if _NUMBER.sub("#", rebuilt) != _NUMBER.sub("#", committed):
+        return False
+    pairs = zip(_NUMBER.findall(rebuilt), _NUMBER.findall(committed), strict=True)
+    return all(abs(float(a) - float(b)) <= 1.001 * 10.0 ** -_decimals(b) if "." in b else a == b for a, b in pairs)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import read_table, write_text
+from grindvision_book.blocks import write_changed
 from grindvision_book.figures import csv_text, markdown_table
 from grindvision_book.places import figures_folder, finished_folder
 from grindvision_book.session import current_chapter, fast, given_answers
@@ -93,11 +94,11 @@ def scoreboard(folder: Path | None = None) -> pd.DataFrame:
 def write_scoreboard(folder: Path) -> pd.DataFrame:
     """Judge the answers in ``folder``, write ``scoreboard.csv`` and ``scoreboard.md`` there, and return the table."""
     table = scoreboard(folder)
-    write_text(folder / "scoreboard.csv", csv_text(table))
+    write_changed(folder / "scoreboard.csv", csv_text(table))
     shown = table.assign(
         figure=[f"[{name}]({name}.{_suffix(folder, name)})" if name else "" for name in table["figure"]]
     )
-    write_text(folder / "scoreboard.md", f"# Scoreboard\n\n{summary(table)}.\n\n{markdown_table(shown)}\n")
+    write_changed(folder / "scoreboard.md", f"# Scoreboard\n\n{summary(table)}.\n\n{markdown_table(shown)}\n")
     return table
 
 

@@ -1,4 +1,4 @@
-"""Blocks of a committed page that the book writes itself, between two marks."""
+"""Texts that the book writes into committed files: whole ones, and blocks of a page between two marks."""
 
 from __future__ import annotations
 
@@ -18,4 +18,10 @@ def replace_block(page: Path, block: str, first: str, last: str) -> None:
     if text.count(first) != 1 or text.count(last) != 1:
         raise FileError(f"{page}: the marks {first} and {last} must each stand there once; put them back")
     before, rest = text.split(first)
-    write_text(page, before + block + rest.split(last)[1])
+    write_changed(page, before + block + rest.split(last)[1])
+
+
+def write_changed(path: Path, text: str) -> None:
+    """Write a text unless the file holds it already."""
+    if not path.is_file() or path.read_bytes() != text.encode():
+        write_text(path, text)

@@ -8,13 +8,18 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
+from grindvision_book.agreement import Files, files_in
 from grindvision_book.answers import write_scoreboard
+from grindvision_book.committed import committed_figures
+from grindvision_book.contents import missing_or_unlisted
 from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
+from grindvision_book.publishing import Publication, publish
 from grindvision_book.readme import write_readme
 
 #: The chapter that looks back on all others runs last.
@@ -29,11 +34,12 @@ CELL_TIMEOUT_S = 900
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one chapter: its name, how long it took, and what went wrong (empty when nothing did)."""
+    """What became of one chapter: its name, seconds it took, what went wrong (empty: nothing), and its files."""
 
     chapter: str
     seconds: float
     failure: str = ""
+    published: tuple[Publication, ...] = ()
 
     def __str__(self) -> str:
         """One line for the terminal."""
@@ -85,11 +91,13 @@ def rebuild(
     build: Path | None = None,
     figures: Path | None = None,
     report: Callable[[Outcome], None] = lambda outcome: None,
+    redraw: bool = False,
 ) -> list[Outcome]:
     """Run chapters on copies, collect what they draw, and judge the answers.
 
-    The figures of a chapter reach ``figures`` only when it has run to its end; answers of a chapter that no longer
-    exists are removed there. ``build/executed`` keeps the copies with their outputs, also of a chapter that failed.
+    The figures of a chapter reach ``figures`` only when it has run to its end, and in the checkout's own ``figures``
+    only where their data disagree with the commit; answers of a chapter that no longer exists are removed there.
+    ``build/executed`` keeps the copies with their outputs, also of a chapter that failed.
 
     Args:
         numbers: chapters to run; none means all.
@@ -98,6 +106,7 @@ def rebuild(
         build: working folder, ``build`` or ``build/fast`` of the checkout by default.
         figures: where finished figures and the scoreboard go.
         report: called with each outcome as it comes.
+        redraw: replace committed figures also where the data agree.
 
     Returns:
         One outcome per chapter, in order.
@@ -114,15 +123,34 @@ def rebuild(
     for answers in figures.glob("answers_*.csv"):
         if answers.stem.removeprefix("answers_") not in there:
             answers.unlink()
-    outcomes = asyncio.run(_run_all(picked, fast, build, figures, report))
+    committed = committed_figures().files if figures == FIGURES else {}
+    listed = notebooks == NOTEBOOKS and not fast
+    collect = partial(_collect, figures, committed, build / "put_aside", redraw, listed)
+    outcomes = asyncio.run(_run_all(picked, fast, build, figures, collect, report))
     table = write_scoreboard(figures)
     if figures == FIGURES:
         write_readme(table)
     return outcomes
 
 
+def _collect(
+    figures: Path, committed: Files, aside: Path, redraw: bool, listed: bool, number: str, made: Path, outcome: Outcome
+) -> Outcome:
+    """Take over what a chapter has made, if it ran to its end and made what the book lists for it."""
+    if not outcome.failure and listed:
+        outcome = replace(outcome, failure=missing_or_unlisted(number, files_in(made)))
+    if outcome.failure:
+        return outcome
+    return replace(outcome, published=tuple(publish(made, figures, committed, aside, redraw)))
+
+
 async def _run_all(
-    picked: dict[str, Path], fast: bool, build: Path, figures: Path, report: Callable[[Outcome], None]
+    picked: dict[str, Path],
+    fast: bool,
+    build: Path,
+    figures: Path,
+    collect: Callable[[str, Path, Outcome], Outcome],
+    report: Callable[[Outcome], None],
 ) -> list[Outcome]:
     cores = os.cpu_count() or 1
     workers = min(cores, max(1, len(picked)))
@@ -136,10 +164,7 @@ async def _run_all(
             fresh.mkdir(parents=True)
             copy = build / "executed" / picked[number].name
             outcome = await _run(picked[number], copy, environment | {"GRINDVISION_FIGURES": str(fresh)})
-        if not outcome.failure:
-            for made in sorted(fresh.iterdir()):
-                with write_whole(figures / made.name) as path:
-                    shutil.copyfile(made, path)
+        outcome = collect(number, fresh, outcome)
         shutil.rmtree(fresh)
         report(outcome)
         return outcome

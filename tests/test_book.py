@@ -18,7 +18,6 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 import grindvision_book as book
 from grindvision import cli, paper
 from grindvision.errors import FileError, InputError
-from grindvision_book.agreement import disagreements
 from grindvision_book.answers import judged, verdict, write_scoreboard
 from grindvision_book.chapters import LONGEST, _environment, chapters, chosen, longest_first, rebuild
 
@@ -338,48 +337,3 @@ def test_every_command_is_listed_in_the_help(capsys):
         cli.main(["--help"])
     shown = capsys.readouterr().out
     assert all(name in shown for name in cli.COMMANDS)
-
-
-# --- rebuilt against committed
-
-
-@pytest.fixture
-def two_folders(tmp_path) -> tuple[Path, Path]:
-    folders = tmp_path / "rebuilt", tmp_path / "committed"
-    for folder in folders:
-        folder.mkdir()
-        for suffix in ("svg", "png"):
-            (folder / f"fig.{suffix}").write_text("picture")
-        (folder / "fig.csv").write_text("name,x_mm,run_s\na,100.0,1\nb,,2\n")
-    return folders
-
-
-def test_equal_folders_agree_whatever_the_pixels_and_times(two_folders):
-    (two_folders[0] / "fig.png").write_text("other pixels")
-    (two_folders[0] / "fig.csv").write_text("name,x_mm,run_s\na,100.05,7\nb,,9\n")
-    assert disagreements(*two_folders) == []
-
-
-@pytest.mark.parametrize(
-    "content, complaint",
-    [
-        ("name,x_mm,run_s\na,100.2,1\nb,,2\n", "column x_mm: 1 values differ"),
-        ("name,x_mm,run_s\na,100.0,1\nb,0,2\n", "column x_mm: 1 values differ"),
-        ("name,x_mm,run_s\nc,100.0,1\nb,,2\n", "column name"),
-        ("name,x_mm,run_s\na,100.0,1\n", "1 rows"),
-        ("name,y_mm,run_s\na,100.0,1\nb,,2\n", "columns"),
-    ],
-)
-def test_other_values_texts_rows_or_columns_are_told(two_folders, content, complaint):
-    (two_folders[0] / "fig.csv").write_text(content)
-    (line,) = disagreements(*two_folders)
-    assert line.startswith("fig.csv") and complaint in line
-
-
-def test_orphans_and_incomplete_figures_are_told(two_folders):
-    (two_folders[1] / "old.csv").write_text("x\n1\n")
-    (two_folders[0] / "new.md").write_text("table")
-    assert len(lines := disagreements(*two_folders)) == 3
-    assert "old.csv: committed, but no chapter makes it" in lines
-    assert "new.md: a chapter makes it, but it is not committed" in lines
-    assert any(line.startswith("old: has .csv") for line in lines)

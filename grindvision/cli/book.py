@@ -10,6 +10,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this command."""
     parser.add_argument("--only", nargs="+", default=[], metavar="NN", help="chapters to run, by number (default: all)")
     parser.add_argument("--fast", action="store_true", help="fewer trials; results go to build/fast, figures/ stays")
+    parser.add_argument("--redraw", action="store_true", help="replace committed figures also where their data agree")
     parser.add_argument("--site", action="store_true", help="build the HTML book in build/site afterwards")
 
 
@@ -20,6 +21,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision_book.answers import scoreboard, summary
     from grindvision_book.chapters import Outcome, chosen, rebuild
     from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
+    from grindvision_book.publishing import told
 
     figures = FAST_FIGURES if options.fast else FIGURES
     total = len(chosen(options.only))
@@ -29,9 +31,11 @@ def run(options: argparse.Namespace) -> int:
             bar.set_postfix_str(outcome.chapter, refresh=False)
             bar.update()
 
-        outcomes = rebuild(options.only, fast=options.fast, report=report)
+        outcomes = rebuild(options.only, fast=options.fast, report=report, redraw=options.redraw)
     for outcome in outcomes:
         print(outcome)
+    if not options.fast:
+        print("", *told([file for outcome in outcomes for file in outcome.published]), sep="\n")
 
     table = scoreboard(figures)
     shown = table[["item", "quantity", "unit", "paper", "rebuilt", "tolerance", "verdict"]]
