@@ -15,7 +15,7 @@ def usable_cores() -> int:
     return int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1)
 
 
-def side_by_side(function: Callable[..., Result], *columns: Iterable) -> list[Result]:
+def parallel_map(function: Callable[..., Result], *columns: Iterable) -> list[Result]:
     """``list(map(function, *columns))`` in two threads, of which the caller's is one: what a thread has freed stays
     with it, and a caller who waits would keep memory that a third thread has to ask for again. With one core to
     use, in one."""

@@ -23,7 +23,7 @@ from grindvision.vision.change.change_detection import Cluster, difference_paper
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.change.oriented_box import box_path, minimal_box
 from grindvision.vision.change.ridge_path import trace_bead
-from grindvision.vision.surface.signed_distance import heights_above
+from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import build_surfels
 
 
@@ -183,10 +183,10 @@ def test_heights_are_signed_distances_from_the_surface(rng):
     spots = np.column_stack([rng.uniform(5, 45, size=(200, 2)), np.zeros(200)])
     spots[:, 2] = 0.2 * spots[:, 0]
     asked = rng.uniform(-2, 2, 200)
-    heights, normals, _ = heights_above(surfels, spots + asked[:, None] * up, 4.0)
+    heights, normals, _ = signed_distances(surfels, spots + asked[:, None] * up, 4.0)
     np.testing.assert_allclose(heights, asked, atol=1e-6)
     np.testing.assert_allclose(normals @ up, 1, atol=1e-9)
-    beside, _, _ = heights_above(surfels, np.array([[70.0, 25, 14], [25, 25, 40]]), 4.0)
+    beside, _, _ = signed_distances(surfels, np.array([[70.0, 25, 14], [25, 25, 40]]), 4.0)
     assert np.isnan(beside).all()
 
 
@@ -256,7 +256,7 @@ def test_a_curved_bead_is_followed_to_its_ends(radius_mm):
 
 
 @pytest.mark.parametrize(
-    ("section", "highest", "most_mm"),
+    ("section", "highest", "max_mm"),
     [
         (lambda u: np.sqrt(1.2 - u**2) - np.sqrt(0.2), 0.0, 0.03),
         (lambda u: (1 + np.cos(np.pi * u)) / 2, 0.0, 0.03),
@@ -266,7 +266,7 @@ def test_a_curved_bead_is_followed_to_its_ends(radius_mm):
     ],
     ids=["round", "bell", "flat-topped", "lopsided", "pointed"],
 )
-def test_beads_of_any_section_are_followed_where_they_are_highest(section, highest, most_mm):
+def test_beads_of_any_section_are_followed_where_they_are_highest(section, highest, max_mm):
     """``highest``: across, in half widths."""
     aside, above = [], []
     for seed in range(5):
@@ -277,8 +277,8 @@ def test_beads_of_any_section_are_followed_where_they_are_highest(section, highe
         path = trace_bead(Cluster(places, h, up, 0.9, 120.0, 120.0, 1.5))
         aside.append(path.points[:, 1] - 2 * highest)
         above.append(path.points[:, 2] - 1.5)
-    assert np.abs(aside).mean() < most_mm
-    assert np.abs(above).mean() < most_mm
+    assert np.abs(aside).mean() < max_mm
+    assert np.abs(above).mean() < max_mm
 
 
 def test_the_paper_s_threshold_is_squared_in_pcl(rng):

@@ -12,9 +12,9 @@ from grindvision.vision.surface.normals import (
     _covered_cells,
     estimate_normals,
     guess_viewpoint,
-    least_spread,
     orient_by_neighbours,
     seen_along,
+    smallest_eigenpair,
 )
 from grindvision.vision.surface.surfels import build_surfels, surface_area
 
@@ -104,7 +104,7 @@ def test_least_spread_is_the_smallest_eigenpair(rng):
         for _ in range(50):
             a = rng.normal(size=(3, 3)) * [1, 0.5, 0.05]
             matrix = scale * a.T @ a
-            value, *vector = least_spread(*matrix[np.triu_indices(3)])
+            value, *vector = smallest_eigenpair(*matrix[np.triu_indices(3)])
             values, vectors = np.linalg.eigh(matrix)
             assert value == pytest.approx(values[0], abs=1e-10 * values[2])
             assert abs(np.dot(vector, vectors[:, 0])) == pytest.approx(1, abs=1e-6)

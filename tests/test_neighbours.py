@@ -27,7 +27,7 @@ def test_radius_neighbours_are_the_kd_tree_s(rng):
 
 def test_the_nearest_few_come_in_order(rng):
     points = rng.uniform(0, 20, size=(1500, 3))
-    around = within_radius(build_cells(points, 6.0), points[:50], 6.0, most=5)
+    around = within_radius(build_cells(points, 6.0), points[:50], 6.0, max_neighbours=5)
     distances, indices = cKDTree(points).query(points[:50], k=5)
     np.testing.assert_array_equal(around.indices.reshape(50, 5), indices)
     np.testing.assert_allclose(np.sqrt(around.squared_mm2.reshape(50, 5)), distances, rtol=1e-12)

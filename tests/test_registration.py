@@ -316,7 +316,7 @@ def test_trimming_helps_where_the_scans_overlap_in_part(close):
 
 
 def test_generalised_icp_agrees_with_the_truth(easy, close):
-    found = icp_generalised(easy.test[::6], easy.sample[::3], close, most_mm=2.0)
+    found = icp_generalised(easy.test[::6], easy.sample[::3], close, max_mm=2.0)
     turn, shift = errors(found.T_target_source, easy.T_sample_test, easy.test.mean(axis=0))
     assert turn < 0.05
     assert shift < 0.05
@@ -332,7 +332,7 @@ def test_scans_far_apart_share_no_pairs(easy, prepared):
     with pytest.raises(DegenerateError, match="meet within"):
         icp_generalised(easy.test[::30], easy.sample[::30], far)
     with pytest.raises(DegenerateError, match="pairs of points"):
-        icp_points(easy.test[::30], easy.sample[::30], far, most_mm=5.0)
+        icp_points(easy.test[::30], easy.sample[::30], far, max_mm=5.0)
 
 
 def test_orientation_follows_the_viewpoint(rng):

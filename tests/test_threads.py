@@ -4,26 +4,26 @@ import threading
 
 import pytest
 
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 
 
 def test_results_come_in_order_as_those_of_map():
-    assert side_by_side(pow, range(50), [2] * 50) == [number**2 for number in range(50)]
-    assert side_by_side(abs, []) == []
+    assert parallel_map(pow, range(50), [2] * 50) == [number**2 for number in range(50)]
+    assert parallel_map(abs, []) == []
 
 
 def test_two_jobs_run_at_once(monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
     both = threading.Barrier(2, timeout=60)
-    assert sorted(side_by_side(lambda _: both.wait(), range(2))) == [0, 1]
+    assert sorted(parallel_map(lambda _: both.wait(), range(2))) == [0, 1]
 
 
 def test_a_process_that_may_use_one_core_starts_no_thread(monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
-    assert side_by_side(lambda _: threading.get_ident(), range(4)) == [threading.get_ident()] * 4
+    assert parallel_map(lambda _: threading.get_ident(), range(4)) == [threading.get_ident()] * 4
 
 
 @pytest.mark.parametrize("broken", range(4))
 def test_what_is_raised_comes_through(broken):
     with pytest.raises(ZeroDivisionError):
-        side_by_side(lambda number: 1 / (number - broken), range(4))
+        parallel_map(lambda number: 1 / (number - broken), range(4))

@@ -59,9 +59,9 @@ def ransac(target, source, voxel_mm: float, tries: int = 100_000) -> np.ndarray:
 def plane_icp(target, source, pose: np.ndarray) -> np.ndarray:
     """Point-to-plane ICP on voxels of 1 mm: within 4 mm, then within 1 mm."""
     target.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(3.0, 30))
-    for most_mm in (4.0, 1.0):
+    for max_mm in (4.0, 1.0):
         pose = REGISTRATION.registration_icp(
-            source, target, most_mm, pose, REGISTRATION.TransformationEstimationPointToPlane(),
+            source, target, max_mm, pose, REGISTRATION.TransformationEstimationPointToPlane(),
             REGISTRATION.ICPConvergenceCriteria(1e-7, 1e-7, 30),
         ).transformation  # fmt: skip
     return pose

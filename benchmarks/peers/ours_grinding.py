@@ -52,7 +52,7 @@ def icp(sample: str, test: str, start: str) -> dict:
     normals = orient_to_viewpoint(seen.points, seen.normals, np.zeros(3))
     good.normals[:] = orient_to_viewpoint(good.points, good.normals, np.zeros(3))
     lap("prepare")
-    found = icp_planes(seen.points, normals, good, pose, most_mm=4.0)
+    found = icp_planes(seen.points, normals, good, pose, max_mm=4.0)
     lap("icp")
     return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
 
@@ -64,7 +64,7 @@ def icp_paper(sample: str, test: str, start: str) -> dict:
     lap("read")
     good, seen = (voxel_grid(points, 1.0).centroids for points in clouds)
     lap("prepare")
-    found = icp_points(seen, good, pose, most_mm=4.0, iterations=400)
+    found = icp_points(seen, good, pose, max_mm=4.0, iterations=400)
     lap("icp")
     return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
 

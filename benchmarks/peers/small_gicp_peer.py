@@ -22,9 +22,9 @@ def icp(sample: str, test: str, start: str, method: str) -> dict:
     lap("read")
     (target, tree), (source, _) = (small_gicp.preprocess_points(points, 1.0, 20, THREADS) for points in clouds)
     lap("prepare")
-    for most_mm in (4.0, 1.0):
+    for max_mm in (4.0, 1.0):
         pose = small_gicp.align(
-            target, source, tree, pose, registration_type=method, max_correspondence_distance=most_mm,
+            target, source, tree, pose, registration_type=method, max_correspondence_distance=max_mm,
             num_threads=THREADS, max_iterations=50, rotation_epsilon=1e-6, translation_epsilon=1e-4,
         ).T_target_source  # fmt: skip
     lap("icp")

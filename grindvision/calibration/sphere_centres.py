@@ -35,7 +35,7 @@ def find_sphere(
     """
     from grindvision.geometry.ransac import ransac_sphere
 
-    points = check_points(points_scanner, "scan of the sphere", least=4)
+    points = check_points(points_scanner, "scan of the sphere", min_points=4)
     rough = ransac_sphere(points, threshold_mm, rng, radius_mm)
     rays = points - rough.centre_mm
     distance = np.linalg.norm(rays, axis=1)

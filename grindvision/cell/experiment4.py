@@ -41,10 +41,10 @@ BEAD_MIDDLE_MM = (-38.0, -14.0)
 BLEND_MM = 18.0
 
 #: A drawn pose of the sample is good when the scan shows so much of what the test scan shows, and the bead's place.
-LEAST_OVERLAP = 0.5
+MIN_OVERLAP = 0.5
 
 #: Poses drawn before it is given up. Of fifty seeds of the standard twin two draw twice.
-MOST_DRAWS = 20
+MAX_DRAWS = 20
 
 #: What a pose shows is looked at on every so many-th pixel, and counts as shown within this distance of a point.
 LOOK_EVERY, LOOK_MM = 6, 2.5
@@ -173,18 +173,18 @@ def experiment4_twin(
     target = target_of(part.sample)
     spots = _shown(scanner, target, T_part_test)
     place = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
-    for _ in range(MOST_DRAWS):
+    for _ in range(MAX_DRAWS):
         T_part_sample = _sample_pose(rng, scanner, T_part_test, rotation_deg)
         try:
             shown = cKDTree(_shown(scanner, target, T_part_sample))
         except SightError:
             continue
         of_test, of_place = (np.isfinite(shown.query(at, distance_upper_bound=LOOK_MM)[0]) for at in (spots, place))
-        if of_test.mean() >= LEAST_OVERLAP and of_place.all():
+        if of_test.mean() >= MIN_OVERLAP and of_place.all():
             return Experiment4Twin(scanned_pair(part, scanner, T_part_sample, T_part_test, rng, every), path)
     raise SightError(
-        f"none of {MOST_DRAWS} poses drawn {rotation_deg} deg from the printed one shows the bead's place and"
-        f" {LEAST_OVERLAP:.0%} of what the test scan shows; give another rotation_deg or a scanner with a wider view"
+        f"none of {MAX_DRAWS} poses drawn {rotation_deg} deg from the printed one shows the bead's place and"
+        f" {MIN_OVERLAP:.0%} of what the test scan shows; give another rotation_deg or a scanner with a wider view"
     )
 
 

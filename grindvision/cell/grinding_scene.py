@@ -75,7 +75,7 @@ def grinding_scene(
     Args:
         rng: draws the instrument (its serial), both poses and all noise.
         relief: height of the part's features; 0.2 is the hard part. Not used when ``part`` is given.
-        overlap: share of the part that both scans are to see; below 1 the two views move apart along the plate.
+        overlap: fraction of the part that both scans are to see; below 1 the two views move apart along the plate.
         rotation_deg: smallest and largest rotation between the poses.
         part: made when left out.
         scanner: a structured-light scanner when left out; one that is given keeps its serial.

@@ -22,7 +22,7 @@ class ScannerErrors:
 
     Random, new in every scan: ``white_mm`` along the ray; ``triangulation_px`` white and ``correlated_px`` correlated
     noise of the disparity (depth error times z^2 / (f b)), the latter smoothed over ``correlation_length_px``;
-    ``mixed_pixels`` is the share of pixels at depth steps above ``edge_mm`` that fall between front and back.
+    ``mixed_pixels`` is the fraction of pixels at depth steps above ``edge_mm`` that fall between front and back.
     Systematic, the same in every scan of one instrument: ``distortion_mm`` rms depth error at the reference distance
     of a smooth field with correlation length ``distortion_length_mm``, growing with z^2; ``scale`` standard deviation
     over instruments of the relative scale error.
@@ -49,7 +49,7 @@ class ScannerErrors:
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"scanner error {item.name} is {value}; it must be zero (off) or above")
         if self.mixed_pixels > 1:
-            raise InputError(f"mixed_pixels is {self.mixed_pixels}; it is a share of pixels, at most 1")
+            raise InputError(f"mixed_pixels is {self.mixed_pixels}; it is a fraction of pixels, at most 1")
         for name in ("correlation_length_px", "distortion_length_mm", "edge_mm"):
             if getattr(self, name) == 0:
                 raise InputError(f"scanner error {name} is 0; a length must be above zero")

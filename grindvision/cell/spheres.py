@@ -117,9 +117,9 @@ def sphere_centre_errors(
     """Errors (K, 3) of measured sphere centres to first order: the fast twin of ``measure_sphere`` for many trials.
 
     The seen cap of each sphere is sampled at ``across`` x ``across`` points; the instrument's distortion and scale are
-    exact there, its random errors have the spread that the scan's many more pixels leave. A least squares fit with
-    known radius is then linear in the errors. Mixed pixels and disparity steps are left out, and no point is missing
-    at random. Against ``measure_sphere`` the systematic part agrees to about a micrometre (see the tests).
+    exact there, its random errors have the standard deviation that the scan's many more pixels leave. A least squares
+    fit with known radius is then linear in the errors. Mixed pixels and disparity steps are left out, and no point is
+    missing at random. Against ``measure_sphere`` the systematic part agrees to about a micrometre (see the tests).
 
     Args:
         scanner: the instrument.
@@ -149,18 +149,18 @@ def sphere_centre_errors(
 
     errors = scanner.errors
     seen = (normals @ down[:, :, None])[:, :, 0] < NEST_COSINE
-    least_cosine = 0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg))
+    min_cosine = 0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg))
     for eye in (np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])):
         way = eye - points
-        seen &= np.einsum("kij,kij->ki", way, normals) > least_cosine * np.sqrt(np.einsum("kij,kij->ki", way, way))
+        seen &= np.einsum("kij,kij->ki", way, normals) > min_cosine * np.sqrt(np.einsum("kij,kij->ki", way, way))
     systematic = scanner.systematic_mm(points.reshape(-1, 3)).reshape(seen.shape)
     z = points[:, :, 2]
     pixels = np.pi * (SPHERE_RADIUS_MM * scanner.focal_px / z) ** 2
     smoothed = max(4 * np.pi * errors.correlation_length_px**2, 1.0)
     disparity = np.sqrt(errors.triangulation_px**2 + smoothed * errors.correlated_px**2)
-    spread = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(disc.sum() / pixels)
-    shift = systematic + spread * rng.standard_normal(seen.shape)
-    along = np.einsum("kij,kij->ki", normals, points) / z * shift
+    sigma = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(disc.sum() / pixels)
+    error = systematic + sigma * rng.standard_normal(seen.shape)
+    along = np.einsum("kij,kij->ki", normals, points) / z * error
     weighted = np.swapaxes(normals * seen[:, :, None], 1, 2)
     system = weighted @ normals
     if np.linalg.cond(system).max() > 1e6:

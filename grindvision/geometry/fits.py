@@ -76,11 +76,11 @@ class SphereFit:
         return f"sphere at ({x:.3f}, {y:.3f}, {z:.3f}) mm, radius {self.radius_mm:.3f} mm, rms {self.rms_mm:.3g} mm"
 
 
-def check_points(points: ArrayLike, name: str, least: int = 1) -> Floats:
-    """Return ``points`` as float64 (N, 3) with N >= ``least`` and finite entries.
+def check_points(points: ArrayLike, name: str, min_points: int = 1) -> Floats:
+    """Return ``points`` as float64 (N, 3) with N >= ``min_points`` and finite entries.
 
     Raises:
-        InputError: wrong shape or NaN. DegenerateError: fewer points than ``least``.
+        InputError: wrong shape or NaN. DegenerateError: fewer points than ``min_points``.
     """
     try:
         array = np.asarray(points, dtype=float)
@@ -88,8 +88,8 @@ def check_points(points: ArrayLike, name: str, least: int = 1) -> Floats:
         raise InputError(f"{name} are not numbers; expected an array of shape (N, 3)") from None
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name} have shape {array.shape}; expected (N, 3)")
-    if len(array) < least:
-        raise DegenerateError(f"{name}: {len(array)} points given, at least {least} needed")
+    if len(array) < min_points:
+        raise DegenerateError(f"{name}: {len(array)} points given, at least {min_points} needed")
     if not np.isfinite(array).all():
         bad = ~np.isfinite(array).all(axis=1)
         raise InputError(f"{name}: {int(bad.sum())} of {len(array)} points hold NaN or infinity; drop them first")
@@ -107,8 +107,8 @@ def fit_rigid(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = 
     Raises:
         InputError: shapes differ. DegenerateError: fewer than three points, or points on one line.
     """
-    source = check_points(source, "source points", least=3)
-    target = check_points(target, "target points", least=3)
+    source = check_points(source, "source points", min_points=3)
+    target = check_points(target, "target points", min_points=3)
     if source.shape != target.shape:
         raise InputError(f"source {source.shape} and target {target.shape} points must come in pairs")
     if weights is None:
@@ -120,8 +120,8 @@ def fit_rigid(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = 
         w = w / w.sum()
     centre_source, centre_target = w @ source, w @ target
     for name, points, centre in (("source", source, centre_source), ("target", target, centre_target)):
-        spread = np.linalg.svd(np.sqrt(w)[:, None] * (points - centre), compute_uv=False)
-        if spread[1] <= 1e-9 * max(spread[0], np.abs(points).max() * 1e-6):
+        singular = np.linalg.svd(np.sqrt(w)[:, None] * (points - centre), compute_uv=False)
+        if singular[1] <= 1e-9 * max(singular[0], np.abs(points).max() * 1e-6):
             raise DegenerateError(f"the {name} points lie on one line or coincide; the rotation about it is free")
     u, _, vt = np.linalg.svd((target - centre_target).T @ (w[:, None] * (source - centre_source)))
     rotation = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -136,7 +136,7 @@ def fit_plane(points: ArrayLike) -> PlaneFit:
     Raises:
         DegenerateError: fewer than three points, or points on one line.
     """
-    points = check_points(points, "plane points", least=3)
+    points = check_points(points, "plane points", min_points=3)
     return plane_through(points, np.ones(len(points), dtype=bool))
 
 
@@ -146,7 +146,7 @@ def fit_sphere(points: ArrayLike, radius_mm: float | None = None) -> SphereFit:
     Raises:
         DegenerateError: fewer than four points (three with the radius given), or points on one plane's circle.
     """
-    points = check_points(points, "sphere points", least=4 if radius_mm is None else 3)
+    points = check_points(points, "sphere points", min_points=4 if radius_mm is None else 3)
     return sphere_through(points, np.ones(len(points), dtype=bool), radius_mm)
 
 
@@ -156,13 +156,13 @@ def plane_through(points: Floats, inliers: Flags) -> PlaneFit:
     if len(used) < 3:
         raise DegenerateError(f"only {len(used)} points left on the plane; at least 3 needed")
     centre = used.mean(axis=0)
-    _, spread, axes = np.linalg.svd(used - centre, full_matrices=False)
-    if spread[1] <= 1e-9 * max(spread[0], np.abs(used).max() * 1e-6):
+    _, singular, axes = np.linalg.svd(used - centre, full_matrices=False)
+    if singular[1] <= 1e-9 * max(singular[0], np.abs(used).max() * 1e-6):
         raise DegenerateError("the points lie on one line; a plane needs three that do not")
     normal = axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))])
     residuals = (used - centre) @ normal
     variance = residuals @ residuals / max(len(used) - 3, 1)
-    covariance = variance * np.diag([1 / spread[1] ** 2, 1 / spread[0] ** 2, 1 / len(used)])
+    covariance = variance * np.diag([1 / singular[1] ** 2, 1 / singular[0] ** 2, 1 / len(used)])
     rms = float(np.sqrt(np.mean(residuals**2)))
     return PlaneFit(normal, float(normal @ centre), centre, axes[:2], covariance, rms, inliers)
 
@@ -170,9 +170,9 @@ def plane_through(points: Floats, inliers: Flags) -> PlaneFit:
 def sphere_through(points: Floats, inliers: Flags, radius_mm: float | None) -> SphereFit:
     """Least squares sphere through the points (N, 3) marked as ``inliers`` (N,), of the radius given or its own."""
     used = points[inliers]
-    least = 4 if radius_mm is None else 3
-    if len(used) < least:
-        raise DegenerateError(f"only {len(used)} points left on the sphere; at least {least} needed")
+    min_points = 4 if radius_mm is None else 3
+    if len(used) < min_points:
+        raise DegenerateError(f"only {len(used)} points left on the sphere; at least {min_points} needed")
     origin = used.mean(axis=0)
     p = used - origin
     design = np.column_stack([2 * p, np.ones(len(p))])

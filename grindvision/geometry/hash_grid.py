@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 AXIS_CELLS = 1 << 20
-"""Most cells along one axis; three axes share one 63-bit key."""
+"""Maximum of cells along one axis; three axes share one 63-bit key."""
 
 _EMPTY = np.int64(-1)
 _MIX = np.int64(-7046029254386353131)

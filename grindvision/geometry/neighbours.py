@@ -33,23 +33,25 @@ class Neighbourhoods:
         return len(self.starts) - 1
 
 
-def nearest(grid: CellGrid, queries: ArrayLike, most_mm: float) -> tuple[Integers, Floats]:
-    """Nearest grid point of each query (M, 3) within ``most_mm``: index (M,), -1 where none, and distance (M,).
+def nearest(grid: CellGrid, queries: ArrayLike, max_mm: float) -> tuple[Integers, Floats]:
+    """Nearest grid point of each query (M, 3) within ``max_mm``: index (M,), -1 where none, and distance (M,).
 
-    Exact. Fast while ``most_mm`` is a few cells; the distance is infinite where none was found.
+    Exact. Fast while ``max_mm`` is a few cells; the distance is infinite where none was found.
     """
     queries = np.ascontiguousarray(queries, dtype=float)
     indices = np.empty(len(queries), dtype=np.int64)
     distances = np.empty(len(queries))
     _nearest_all(
-        queries, float(most_mm), grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
+        queries, float(max_mm), grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
         grid.origin_mm, 1.0 / grid.size_mm, indices, distances,
     )  # fmt: skip
     return indices, distances
 
 
-def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: int | None = None) -> Neighbourhoods:
-    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``most`` nearest ones.
+def within_radius(
+    grid: CellGrid, queries: ArrayLike, radius_mm: float, max_neighbours: int | None = None
+) -> Neighbourhoods:
+    """All grid points within ``radius_mm`` of each query (M, 3), in no order; or the ``max_neighbours`` nearest ones.
 
     The radius may not exceed the grid's cell size. A query that is itself a grid point is its own neighbour.
     """
@@ -59,20 +61,20 @@ def within_radius(grid: CellGrid, queries: ArrayLike, radius_mm: float, most: in
         )
     queries = np.ascontiguousarray(queries, dtype=float)
     starts, indices, squared = _within_all(
-        queries, float(radius_mm), -1 if most is None else int(most), grid.points, grid.order, grid.starts,
-        grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
+        queries, float(radius_mm), -1 if max_neighbours is None else int(max_neighbours), grid.points, grid.order,
+        grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
     )  # fmt: skip
     return Neighbourhoods(starts, indices, squared)
 
 
 @njit(cache=True, nogil=True)
-def nearest_one(x, y, z, most_mm, points, order, starts, table_keys, table_cells, origin, per_mm):
-    """Index and squared distance of the grid point nearest to (x, y, z) within ``most_mm``; -1 where there is none."""
+def nearest_one(x, y, z, max_mm, points, order, starts, table_keys, table_cells, origin, per_mm):
+    """Index and squared distance of the grid point nearest to (x, y, z) within ``max_mm``; -1 where there is none."""
     cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
     i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
     inside = min(min(cx - i0, i0 + 1 - cx), min(cy - j0, j0 + 1 - cy), min(cz - k0, k0 + 1 - cz))
-    best, best_squared = -1, most_mm * most_mm
-    rings = int(most_mm * per_mm) + 1
+    best, best_squared = -1, max_mm * max_mm
+    rings = int(max_mm * per_mm) + 1
     for ring in range(rings + 1):
         # all in cells: how far away this ring begins, and how far the best point is
         clear, limit = max(ring - 1 + inside, 0.0), best_squared * per_mm * per_mm
@@ -113,11 +115,11 @@ def _gap(place, cell):
 
 @njit(cache=True, nogil=True)
 def _nearest_all(
-    queries, most_mm, points, order, starts, table_keys, table_cells, origin, per_mm, indices, distances
+    queries, max_mm, points, order, starts, table_keys, table_cells, origin, per_mm, indices, distances
 ):  # fmt: skip
     for q in range(len(queries)):
         best, squared = nearest_one(
-            queries[q, 0], queries[q, 1], queries[q, 2], most_mm, points, order, starts, table_keys, table_cells,
+            queries[q, 0], queries[q, 1], queries[q, 2], max_mm, points, order, starts, table_keys, table_cells,
             origin, per_mm,
         )  # fmt: skip
         indices[q] = best
@@ -125,7 +127,7 @@ def _nearest_all(
 
 
 @njit(cache=True, nogil=True)
-def _within_all(queries, radius, most, points, order, starts, table_keys, table_cells, origin, per_mm):
+def _within_all(queries, radius, max_neighbours, points, order, starts, table_keys, table_cells, origin, per_mm):
     first = np.zeros(len(queries) + 1, dtype=np.int64)
     # generous: memory that is not written to is not taken
     indices = np.empty(128 * len(queries) + 64, dtype=np.int64)
@@ -140,10 +142,10 @@ def _within_all(queries, radius, most, points, order, starts, table_keys, table_
             more[:used], more_squares[:used] = indices[:used], squares[:used]
             indices, squares = more, more_squares
             continue
-        if 0 <= most < end - used:
-            rank = used + np.argsort(squares[used:end], kind="mergesort")[:most]
-            indices[used : used + most], squares[used : used + most] = indices[rank], squares[rank]
-            end = used + most
+        if 0 <= max_neighbours < end - used:
+            rank = used + np.argsort(squares[used:end], kind="mergesort")[:max_neighbours]
+            indices[used : used + max_neighbours], squares[used : used + max_neighbours] = indices[rank], squares[rank]
+            end = used + max_neighbours
         used = end
         q += 1
         first[q] = used

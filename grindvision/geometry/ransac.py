@@ -22,7 +22,7 @@ def ransac_plane(points: ArrayLike, threshold_mm: float, rng: np.random.Generato
     Raises:
         DegenerateError: no three points span a plane.
     """
-    points = check_points(points, "plane points", least=3)
+    points = check_points(points, "plane points", min_points=3)
     inliers = _consensus(points, 3, _near_plane, threshold_mm, rng, iterations)
     fit = plane_through(points, inliers)
     return plane_through(points, np.abs(fit.distance(points)) <= threshold_mm)
@@ -42,7 +42,7 @@ def ransac_sphere(
     Raises:
         DegenerateError: no four points span such a sphere.
     """
-    points = check_points(points, "sphere points", least=4)
+    points = check_points(points, "sphere points", min_points=4)
     free = np.nan if radius_mm is None else float(radius_mm)
     inliers = _consensus(points, 4, partial(_near_sphere, radius_mm=free), threshold_mm, rng, iterations)
     for _ in range(3):
@@ -53,33 +53,33 @@ def ransac_sphere(
 
 def _consensus(
     points: Floats,
-    sample_size: int,
+    n_drawn: int,
     near: Callable[[Floats, Floats, float], Flags | None],
     threshold_mm: float,
     rng: np.random.Generator,
     iterations: int,
 ) -> Flags:
-    """Points (N,) near the shape through ``sample_size`` of them that has the most points near it.
+    """Points (N,) near the shape through ``n_drawn`` of them that has the most points near it.
 
-    ``near(sample, points, threshold_mm)`` marks them; None where the sample spans no such shape.
+    ``near(drawn, points, threshold_mm)`` marks them; None where the drawn points span no such shape.
     """
     if not threshold_mm > 0:
         raise InputError(f"the RANSAC threshold is {threshold_mm} mm; it must be above zero")
     points, threshold_mm = np.ascontiguousarray(points), float(threshold_mm)
     scored = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
-    best, best_sample = 0, None
+    best, best_drawn = 0, None
     for trial in range(1, iterations + 1):
-        sample = points[rng.choice(len(points), sample_size, replace=False)]
-        flags = near(sample, scored, threshold_mm)
+        drawn = points[rng.choice(len(points), n_drawn, replace=False)]
+        flags = near(drawn, scored, threshold_mm)
         if flags is None:
             continue
         count = np.count_nonzero(flags)
         if count > best:
-            best, best_sample = count, sample
-        if best and (1 - (best / len(scored)) ** sample_size) ** trial < 1e-6:
+            best, best_drawn = count, drawn
+        if best and (1 - (best / len(scored)) ** n_drawn) ** trial < 1e-6:
             break
-    inliers = None if best_sample is None else near(best_sample, points, threshold_mm)
-    if inliers is None or inliers.sum() < sample_size:
+    inliers = None if best_drawn is None else near(best_drawn, points, threshold_mm)
+    if inliers is None or inliers.sum() < n_drawn:
         raise DegenerateError(
             f"no model found in {len(points)} points within {threshold_mm} mm; check the threshold, and that the shape"
             " is there"
@@ -88,9 +88,9 @@ def _consensus(
 
 
 @nb.njit(cache=True)
-def _near_plane(sample: Floats, points: Floats, threshold_mm: float) -> Flags | None:
+def _near_plane(drawn: Floats, points: Floats, threshold_mm: float) -> Flags | None:
     """Points (N,) within the threshold of the plane through three (3, 3)."""
-    normal = np.cross(sample[1] - sample[0], sample[2] - sample[0])
+    normal = np.cross(drawn[1] - drawn[0], drawn[2] - drawn[0])
     length = np.sqrt((normal**2).sum())
     if length < 1e-12:
         return None
@@ -98,16 +98,16 @@ def _near_plane(sample: Floats, points: Floats, threshold_mm: float) -> Flags | 
     for i in range(len(points)):
         height = 0.0
         for k in range(3):
-            height += (points[i, k] - sample[0, k]) * normal[k]
+            height += (points[i, k] - drawn[0, k]) * normal[k]
         near[i] = abs(height) / length <= threshold_mm
     return near
 
 
 @nb.njit(cache=True)
-def _near_sphere(sample: Floats, points: Floats, threshold_mm: float, radius_mm: float) -> Flags | None:
+def _near_sphere(drawn: Floats, points: Floats, threshold_mm: float, radius_mm: float) -> Flags | None:
     """Points (N,) within the threshold of the sphere through four (4, 3); a radius not NaN replaces the sphere's own,
     which must come within 20 % of it."""
-    edges = sample[1:] - sample[0]
+    edges = drawn[1:] - drawn[0]
     across = np.cross(edges[1], edges[2])
     volume = (edges[0] * across).sum()
     if abs(8 * volume) < 1e-9:
@@ -124,6 +124,6 @@ def _near_sphere(sample: Floats, points: Floats, threshold_mm: float, radius_mm:
     for i in range(len(points)):
         squared = 0.0
         for k in range(3):
-            squared += (points[i, k] - sample[0, k] - from_first[k]) ** 2
+            squared += (points[i, k] - drawn[0, k] - from_first[k]) ** 2
         near[i] = abs(np.sqrt(squared) - radius) <= threshold_mm
     return near

@@ -74,7 +74,7 @@ def table(top_mm: float = 0.0, edge_mm: float = 3000.0) -> Obstacle:
 
 def mesh(name: str, vertices_mm: ArrayLike, triangles: ArrayLike, T_base_mesh: ArrayLike) -> Obstacle:
     """A triangle mesh: vertices (V, 3) in mm in its own frame, triangles (F, 3) of vertex numbers."""
-    vertices = check_points(vertices_mm, f"vertices of {name}", least=3)
+    vertices = check_points(vertices_mm, f"vertices of {name}", min_points=3)
     faces = np.asarray(triangles, dtype=int)
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"triangles of {name} have shape {faces.shape}; expected (F, 3) numbers of its vertices")

@@ -118,8 +118,8 @@ def tool_trajectory(
         InputError: shapes differ, NaN, fewer than two way points, an angle of 90 degrees or more.
         DegenerateError: two way points coincide, a normal has no length, or the seam runs along a normal.
     """
-    points = check_points(positions_mm, "way points", least=2)
-    outward = check_points(normals, "normals", least=2)
+    points = check_points(positions_mm, "way points", min_points=2)
+    outward = check_points(normals, "normals", min_points=2)
     if points.shape != outward.shape:
         raise InputError(f"{len(points)} way points but {len(outward)} normals; give one normal per way point")
     for name, angle in (("work", work_angle_rad), ("travel", travel_angle_rad)):

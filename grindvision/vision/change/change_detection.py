@@ -24,7 +24,7 @@ from grindvision.vision.change.visibility import in_front, surrounded
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.clustering import euclidean_clusters
 from grindvision.vision.surface.scan import Scan, seen_from, surface_in_frame
-from grindvision.vision.surface.signed_distance import heights_above
+from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -120,12 +120,12 @@ def difference_paper(
     return distances**2 > threshold_mm if squared else distances > threshold_mm
 
 
-def find_difference(sample: Scan, test: Scan, registration: FineRegistration, least_surfels: int = 10) -> Difference:
+def find_difference(sample: Scan, test: Scan, registration: FineRegistration, min_surfels: int = 10) -> Difference:
     """Where the test part stands out of the sample by more than the level of detection.
 
     Args:
         registration: pose T_sample_test of the test scan, with its covariance.
-        least_surfels: connected surfels a piece must have.
+        min_surfels: connected surfels a piece must have.
 
     Raises:
         DegenerateError: more than ``MOST_CHANGED`` of the common surface differs.
@@ -134,7 +134,7 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
     good = surface_in_frame(sample.surfels, back)
     surfels = test.surfels
     size = good.grid.size_mm
-    signed, normals, variance = heights_above(good, surfels.points, 2 * size)
+    signed, normals, variance = signed_distances(good, surfels.points, 2 * size)
     far = np.isnan(signed)
     if far.any():
         signed[far], normals[far] = _far_heights(sample, back, surfels.points[far], size)
@@ -160,7 +160,7 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, le
     candidates[doubtful] = in_front(good, seen_from(sample, back), surfels.points[doubtful], size)
     asked = np.flatnonzero(candidates)
     candidates[asked] = surrounded(good, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked])
-    clusters = _clusters(test, good, candidates, signed, level, normals, least_surfels)
+    clusters = _clusters(test, good, candidates, signed, level, normals, min_surfels)
     return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
 
 
@@ -218,7 +218,7 @@ def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals
         _points_in_cells(test.points, flags, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm)
     ]
     size = good.grid.size_mm
-    heights, up, _ = heights_above(good, points, 2 * size)
+    heights, up, _ = signed_distances(good, points, 2 * size)
     high = np.isnan(heights)
     if high.any():
         places = test.surfels.points[members]

@@ -16,7 +16,7 @@ from grindvision.vision.registration.deformable import block_covariance
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.scan import Scan
-from grindvision.vision.surface.signed_distance import heights_above
+from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -147,7 +147,7 @@ def relative_scale(
     facing = rotate_vectors(transform, test.surfels.normals[chosen])
     scale, deviation = 1.0, np.inf
     for _ in range(steps):
-        heights, normals, _ = heights_above(good, places, 2 * good.grid.size_mm)
+        heights, normals, _ = signed_distances(good, places, 2 * good.grid.size_mm)
         shown = np.isfinite(heights) & ((facing * normals).sum(axis=1) > 0.7)
         if shown.sum() < 50:
             return 1.0, np.inf

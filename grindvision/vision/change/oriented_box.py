@@ -46,7 +46,7 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
     Raises:
         DegenerateError: fewer than four points, or points in one plane.
     """
-    points = check_points(points, "difference points", least=4)
+    points = check_points(points, "difference points", min_points=4)
     try:
         hull = ConvexHull(points)
     except QhullError:
@@ -82,7 +82,7 @@ def box_path(difference: ArrayLike, test: ArrayLike, test_normals: ArrayLike, po
         test: the test cloud (M, 3) in which the nearest point to each centroid is taken, and its normals (M, 3).
         points: number of equal parts along the longest side; a part without points gives none.
     """
-    difference = check_points(difference, "difference points", least=4)
+    difference = check_points(difference, "difference points", min_points=4)
     if points < 1:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
     box = minimal_box(difference)

@@ -198,7 +198,9 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     if len(plates) == 0 or steps.shape != (len(plates),) or len(np.unique(steps)) != len(steps):
         raise InputError(f"{len(plates)} plates need as many different steps, got {steps.tolist()}")
     order = np.argsort(steps)
-    clouds = [_without_strays(check_points(plates[k], f"points of plate {k + 1}", least=100), k + 1) for k in order]
+    clouds = [
+        _without_strays(check_points(plates[k], f"points of plate {k + 1}", min_points=100), k + 1) for k in order
+    ]
     slopes = [cloud[:, :2] / cloud[:, 2:] for cloud in clouds]
     low = np.min([part.min(axis=0) for part in slopes], axis=0)
     high = np.max([part.max(axis=0) for part in slopes], axis=0)

@@ -48,7 +48,7 @@ def measure_step(points: ArrayLike, rng: np.random.Generator, threshold_mm: floa
     Raises:
         DegenerateError: no second face parallel to the first. InputError: NaN points or bad threshold.
     """
-    points = check_points(points, "step points", least=6)
+    points = check_points(points, "step points", min_points=6)
     if not threshold_mm > 0:
         raise InputError(f"threshold_mm is {threshold_mm}; it must be above zero")
     larger = _face(points, threshold_mm, rng)

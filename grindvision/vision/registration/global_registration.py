@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
 Floats = NDArray[np.float64]
@@ -104,7 +104,7 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
 
 def _all_votes(poses: Floats, matches: tuple[Floats, ...], apart: float, similar: int) -> NDArray[np.int64]:
     """``_votes`` of many poses, in two threads."""
-    return np.concatenate(side_by_side(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2)))
+    return np.concatenate(parallel_map(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2)))
 
 
 @njit(cache=True, nogil=True)

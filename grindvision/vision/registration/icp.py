@@ -55,7 +55,7 @@ def icp_points(
     source: ArrayLike,
     target: ArrayLike,
     T_start: ArrayLike | None = None,
-    most_mm: float = np.inf,
+    max_mm: float = np.inf,
     keep: float = 1.0,
     tolerance_mm2: float = 1e-6,
     iterations: int = 500,
@@ -66,7 +66,7 @@ def icp_points(
         source: points (N, 3) to be moved.
         target: points (M, 3) they are to meet.
         T_start: first guess of T_target_source, identity when left out.
-        most_mm: pairs farther apart are not used.
+        max_mm: pairs farther apart are not used.
         keep: share of the closest pairs that is used (trimming for partial overlap); 1 as in the paper.
         tolerance_mm2: the paper's tau: stop when the mean squared distance falls by less.
         iterations: most iterations.
@@ -85,12 +85,12 @@ def icp_points(
     converged = False
     while len(errors) < iterations and not converged:
         distances, indices = tree.query(move_points(transform, source))
-        used = distances <= most_mm
+        used = distances <= max_mm
         if keep < 1 and used.any():
             used &= distances <= np.quantile(distances[used], keep)
         if used.sum() < 3:
             raise DegenerateError(
-                f"only {int(used.sum())} pairs of points within {most_mm:.3g} mm; start closer or allow more"
+                f"only {int(used.sum())} pairs of points within {max_mm:.3g} mm; start closer or allow more"
             )
         fit = fit_rigid(source[used], target[indices[used]])
         transform = fit.T_target_source
@@ -117,7 +117,7 @@ def icp_generalised(
     source: ArrayLike,
     target: ArrayLike,
     T_start: ArrayLike | None = None,
-    most_mm: float = 1.0,
+    max_mm: float = 1.0,
     neighbours: int = 20,
     threads: int = 1,
 ) -> FineRegistration:
@@ -133,10 +133,10 @@ def icp_generalised(
         clouds.append(cloud)
     result = small_gicp.align(
         clouds[0], clouds[1], small_gicp.KdTree(clouds[0], num_threads=threads), transform,
-        registration_type="GICP", max_correspondence_distance=most_mm, num_threads=threads,
+        registration_type="GICP", max_correspondence_distance=max_mm, num_threads=threads,
     )  # fmt: skip
     if result.num_inliers < 12:
-        raise DegenerateError(f"only {result.num_inliers} points of the scans meet within {most_mm:.3g} mm")
+        raise DegenerateError(f"only {result.num_inliers} points of the scans meet within {max_mm:.3g} mm")
     error = 2 * result.error / result.num_inliers
     # small_gicp moves the source: rotation first, then translation, in its frame; ours is translation, then rotation
     # about the centre

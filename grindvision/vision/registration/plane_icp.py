@@ -32,8 +32,8 @@ def icp_planes(
     source_normals: ArrayLike,
     target: Surfels,
     T_start: ArrayLike | None = None,
-    most_mm: float | None = None,
-    least_scale_mm: float = 0.0,
+    max_mm: float | None = None,
+    min_scale_mm: float = 0.0,
     iterations: int = 30,
 ) -> FineRegistration:
     """Point-to-plane ICP of points (N, 3) with normals (N, 3) onto surfels.
@@ -45,8 +45,8 @@ def icp_planes(
     is nearly all the work.
 
     Args:
-        most_mm: pairs farther apart are not used; three cells when left out.
-        least_scale_mm: floor of the residuals' spread.
+        max_mm: pairs farther apart are not used; three cells when left out.
+        min_scale_mm: floor of the residuals' spread.
 
     Raises:
         DegenerateError: fewer than 12 pairs.
@@ -56,12 +56,12 @@ def icp_planes(
     normals = np.ascontiguousarray(source_normals, dtype=float)
     grid = target.grid
     size = grid.size_mm
-    most = 3 * size if most_mm is None else float(most_mm)
+    most = 3 * size if max_mm is None else float(max_mm)
     planes = (
         target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
         1.0 / size,
     )  # fmt: skip
-    limits = most, BESIDE * size, STAY * size, float(least_scale_mm), iterations
+    limits = most, BESIDE * size, STAY * size, float(min_scale_mm), iterations
     if len(source) > MANY:
         near, *_, pairs, _ = _plane_icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform, *limits, *planes)
         transform = near if pairs >= 12 else transform
@@ -76,15 +76,15 @@ def icp_planes(
 
 
 def plane_residuals(
-    source: Floats, source_normals: Floats, target: Surfels, T_target_source: Floats, most_mm: float
+    source: Floats, source_normals: Floats, target: Surfels, T_target_source: Floats, max_mm: float
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
-    ``most_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
+    ``max_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
     grid, count = target.grid, len(source)
     matches, moved, sought = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.full((count, 3), np.inf)
     residuals, facing = np.empty(count), np.empty(count)
     _match(
-        source, source_normals, T_target_source, most_mm, BESIDE * grid.size_mm, target.normals, grid.points,
+        source, source_normals, T_target_source, max_mm, BESIDE * grid.size_mm, target.normals, grid.points,
         grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, 0.0, sought,
         moved, matches, residuals, facing,
     )  # fmt: skip

@@ -38,7 +38,7 @@ def sac_ia_paper(
     target: Keypoints,
     rng: np.random.Generator,
     iterations: int = 1000,
-    least_distance_mm: float | None = None,
+    min_distance_mm: float | None = None,
     threshold_mm: float | None = None,
     similar: int = 10,
     refine: bool = True,
@@ -46,7 +46,7 @@ def sac_ia_paper(
     """SAC-IA as the paper describes it (steps 1-3 and the Levenberg-Marquardt refinement).
 
     Args:
-        least_distance_mm: minimum distance of the three samples (the paper's d_min); a tenth of the extent if left out.
+        min_distance_mm: minimum distance of the three samples (the paper's d_min); a tenth of the extent if left out.
         threshold_mm: the t_e of Eq 6, compared with the squared distance as PCL does; five spacings if left out.
         similar: the correspondence is drawn from so many points of most similar histograms.
         refine: run the Levenberg-Marquardt refinement.
@@ -57,9 +57,7 @@ def sac_ia_paper(
         raise DegenerateError(
             f"{len(source)} and {len(target)} keypoints are too few; scan more of the part, or more densely"
         )
-    d_min = (
-        0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0))) if least_distance_mm is None else least_distance_mm
-    )
+    d_min = 0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0))) if min_distance_mm is None else min_distance_mm
     t_e = 5 * target.spacing_mm if threshold_mm is None else float(threshold_mm)
     tree = cKDTree(target.points)
     alike = most_similar(source.features, target.features, similar)

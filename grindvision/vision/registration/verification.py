@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.geometry import angle_between, move_points, rigid, rotation_about, small_motion
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.registration.agreement import Agreement, agreeing_share, agreement
 from grindvision.vision.registration.free_motions import motion_name, motion_names
 from grindvision.vision.registration.global_registration import distinct_poses
@@ -180,7 +180,7 @@ class _Judge:
         self, poses: Iterable[Floats], least_agreeing: float = 0.0
     ) -> list[tuple[FineRegistration, Agreement]]:
         """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""
-        refined = side_by_side(lambda pose: self.refined(pose, least_agreeing), poses)
+        refined = parallel_map(lambda pose: self.refined(pose, least_agreeing), poses)
         return [found for found in refined if found]
 
     def differ(self, pose: Floats, other: Floats) -> bool:
@@ -239,7 +239,7 @@ class _Judge:
         to_centre, back = rigid(None, -best.centre_mm), rigid(None, best.centre_mm)
         resisted_least = directions[:, :3]
         trials = [small_motion(0.12 * self.extent * twist * scale) for twist in resisted_least.T]
-        tried_poses = side_by_side(self.refined, [back @ trial @ to_centre @ best.T_target_source for trial in trials])
+        tried_poses = parallel_map(self.refined, [back @ trial @ to_centre @ best.T_target_source for trial in trials])
         free = [
             one is not None
             and self.differ(one[0].T_target_source, best.T_target_source)

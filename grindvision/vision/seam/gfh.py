@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, vector_angle
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
-from grindvision.vision.surface.normals import least_spread
+from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -67,7 +67,7 @@ def plane_normals(points: ArrayLike, radius_mm: float, towards: ArrayLike) -> Fl
 
     A point with fewer than three neighbours gets ``towards`` itself.
     """
-    points = check_points(points, "points", least=3)
+    points = check_points(points, "points", min_points=3)
     if not radius_mm > 0:
         raise InputError(f"the normal radius is {radius_mm} mm; it must be above zero")
     up = np.broadcast_to(np.asarray(towards, dtype=float), points.shape)
@@ -91,7 +91,7 @@ def base_normal(normals: ArrayLike) -> Floats:
 
 def groove_features(points: ArrayLike, normals: ArrayLike, radius_mm: float) -> GrooveFeatures:
     """Variation of local and global angles of points (N, 3) with unit normals (N, 3); 0 with fewer than 2 others."""
-    points = check_points(points, "points", least=3)
+    points = check_points(points, "points", min_points=3)
     normals = np.ascontiguousarray(normals, dtype=float)
     base = base_normal(normals)
     turn = np.degrees(vector_angle(normals, base)).astype(np.float32)
@@ -156,7 +156,7 @@ def _normals(first, last, points, order, starts, table_keys, table_cells, origin
                 continue
             share = 1.0 / n
             mx, my, mz = sx * share, sy * share, sz * share
-            _, nx, ny, nz = least_spread(
+            _, nx, ny, nz = smallest_eigenpair(
                 xx * share - mx * mx, xy * share - mx * my, xz * share - mx * mz,
                 yy * share - my * my, yz * share - my * mz, zz * share - mz * mz,
             )  # fmt: skip

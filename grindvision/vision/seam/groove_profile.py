@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.seam.profile_fit import fit_stations
 from grindvision.vision.seam.seam_curve import Strip
 
@@ -92,7 +92,7 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
         return fit_stations(*part, shape, float(noise_mm), gap)
 
     columns = (np.array_split(column, 2) for column in (sections.across, sections.up, weight, start, prior))
-    fitted = zip(*side_by_side(fit_part, *columns), strict=True)
+    fitted = zip(*parallel_map(fit_part, *columns), strict=True)
     return ProfileFit(*(np.concatenate(halves) for halves in fitted), corners)
 
 

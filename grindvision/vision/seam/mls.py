@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
-from grindvision.vision.surface.normals import least_spread
+from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def smooth_mls(points: ArrayLike, radius_mm: float, order: int = 2) -> Floats:
     Raises:
         InputError: bad radius or order.
     """
-    points = check_points(points, "points", least=3)
+    points = check_points(points, "points", min_points=3)
     if not radius_mm > 0:
         raise InputError(f"the MLS radius is {radius_mm} mm; it must be above zero")
     if order not in (1, 2):
@@ -98,7 +98,7 @@ def _plane(kept, near):
         zz += dz * dz
     share = 1.0 / near
     mx, my, mz = sx * share, sy * share, sz * share
-    _, nx, ny, nz = least_spread(
+    _, nx, ny, nz = smallest_eigenpair(
         xx * share - mx * mx, xy * share - mx * my, xz * share - mx * mz,
         yy * share - my * my, yz * share - my * mz, zz * share - mz * mz,
     )  # fmt: skip

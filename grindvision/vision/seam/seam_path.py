@@ -71,8 +71,8 @@ def slab_path(points: ArrayLike, normals: ArrayLike, waypoints: int = 50) -> Sea
         InputError: shapes differ, fewer than two slabs. DegenerateError: fewer than two slabs hold points.
     """
     _check_count(waypoints)
-    points = check_points(points, "groove points", least=2)
-    normals = check_points(normals, "normals", least=2)
+    points = check_points(points, "groove points", min_points=2)
+    normals = check_points(normals, "normals", min_points=2)
     if points.shape != normals.shape:
         raise InputError(f"{len(points)} groove points but {len(normals)} normals; give one normal per point")
     centred = points - points.mean(axis=0)

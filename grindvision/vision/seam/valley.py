@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.seam.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
 from grindvision.vision.seam.valley_parts import cleared, connected_parts, inner_radius
 
@@ -102,7 +102,7 @@ def find_valleys(
     low, high = field_bounds(points, T_field_cloud)
     radii = [radius_mm] if radius_mm else _radii(float((high - low)[:2].min()), spacing_mm)
     finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS), (low, high))
-    filled = side_by_side(lambda radius: _fill(finest, radius), radii)
+    filled = parallel_map(lambda radius: _fill(finest, radius), radii)
     fillings = [filling for filling in filled if filling.volume_mm3 > 0]
     first, most = 0, 0.0
     for number, filling in enumerate(fillings):

@@ -40,7 +40,7 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     Raises:
         DegenerateError: the points span no surface.
     """
-    points = check_points(points, "points", least=10)
+    points = check_points(points, "points", min_points=10)
     low, high = field_bounds(points, np.eye(4))
     diagonal = float(np.linalg.norm(high - low))
     if not diagonal > 0:

@@ -15,7 +15,7 @@ Integers = NDArray[np.int64]
 
 def euclidean_clusters(points: ArrayLike, distance_mm: float) -> Integers:
     """Number (N,) of each point's cluster, the largest cluster first (of equal ones, that of the earlier point)."""
-    points = check_points(points, "points", least=0)
+    points = check_points(points, "points", min_points=0)
     if not distance_mm > 0:
         raise InputError(f"the cluster distance is {distance_mm} mm; it must be above zero")
     if len(points) == 0:

@@ -28,14 +28,14 @@ EDGES = np.where(_ALONG >= 0, _TURNS, np.copysign(2.0, _ACROSS) - _TURNS)
 """Between the bins of theta, in the measure of ``_bin_of_direction``: it grows with the angle, from -2 to 2."""
 
 
-def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, most: int | None = None) -> Floats:
+def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, max_neighbours: int | None = None) -> Floats:
     """FPFH (N, 33) of points (N, 3) with unit normals (N, 3): bins of theta, then alpha, then phi (Eqs 3-5).
 
     Args:
         points: cloud in mm, usually after the voxel grid.
         normals: consistently oriented unit normals.
         radius_mm: neighbourhood radius; about five voxels.
-        most: take only so many nearest neighbours, the point itself included.
+        max_neighbours: take only so many nearest neighbours, the point itself included.
 
     Raises:
         InputError: points and normals differ in number.
@@ -44,8 +44,8 @@ def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, most: 
     normals = np.ascontiguousarray(normals, dtype=float)
     if normals.shape != points.shape:
         raise InputError(f"points {points.shape} and normals {normals.shape} must come in pairs")
-    around = within_radius(build_cells(points, radius_mm), points, radius_mm, most)
-    simple = _simple_histograms(points, normals, around.starts, around.indices, most is None)
+    around = within_radius(build_cells(points, radius_mm), points, radius_mm, max_neighbours)
+    simple = _simple_histograms(points, normals, around.starts, around.indices, max_neighbours is None)
     return _weighted_histograms(simple, around.starts, around.indices, around.squared_mm2)
 
 
@@ -63,7 +63,7 @@ def _simple_histograms(points, normals, starts, indices, mutual):
     """
     histograms = np.zeros((len(points), 3 * BINS))
     for p in range(len(points)):
-        share = 100.0 / max(starts[p + 1] - starts[p] - 1, 1)
+        fraction = 100.0 / max(starts[p + 1] - starts[p] - 1, 1)
         for at in range(starts[p], starts[p + 1]):
             q = indices[at]
             if q == p or (mutual and q < p):
@@ -72,9 +72,9 @@ def _simple_histograms(points, normals, starts, indices, mutual):
             a = _bin_of_direction(x, y)
             b = BINS + _bin((alpha + 1) / 2)
             c = 2 * BINS + _bin((phi + 1) / 2)
-            histograms[p, a] += share
-            histograms[p, b] += share
-            histograms[p, c] += share
+            histograms[p, a] += fraction
+            histograms[p, b] += fraction
+            histograms[p, c] += fraction
             if mutual:
                 other = 100.0 / max(starts[q + 1] - starts[q] - 1, 1)
                 histograms[q, a] += other
@@ -139,15 +139,15 @@ def _pair_angles(points, normals, p, q):
 def _bin_of_direction(x, y):
     """Bin of the angle of (x, y) from -pi to pi; its arctangent would take as long as the rest of the pair."""
     size = abs(x) + abs(y)
-    turn = y / size if size > 0 else 0.0
+    quadrant = y / size if size > 0 else 0.0
     if x < 0:
-        turn = (2.0 if y >= 0 else -2.0) - turn
+        quadrant = (2.0 if y >= 0 else -2.0) - quadrant
     found = 0
     for edge in EDGES:
-        found += turn >= edge
+        found += quadrant >= edge
     return found
 
 
 @njit(cache=True, nogil=True)
-def _bin(share):
-    return min(max(int(np.floor(BINS * share)), 0), BINS - 1)
+def _bin(fraction):
+    return min(max(int(np.floor(BINS * fraction)), 0), BINS - 1)

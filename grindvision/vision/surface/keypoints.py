@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 
 Floats = NDArray[np.float64]
 
@@ -37,8 +37,8 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
     half_squares = 0.5 * np.einsum("ij,ij->i", b, b)
     columns = np.ascontiguousarray(b.T)
     result = np.empty((len(a), count), dtype=np.int64)
-    side_by_side(
-        lambda rows, found: _least_away(rows, columns, half_squares, found),
+    parallel_map(
+        lambda rows, found: _nearest_columns(rows, columns, half_squares, found),
         np.array_split(a, 2),
         np.array_split(result, 2),
     )
@@ -46,7 +46,7 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
 
 
 @njit(cache=True, nogil=True)
-def _least_away(rows, columns, half_squares, result):
+def _nearest_columns(rows, columns, half_squares, result):
     """For each of ``rows`` (N, F) the ``columns`` (F, M) of least distance, nearest first, into ``result`` (N, count).
 
     Products are summed four features at a time. A linear algebra library is hardly faster, and in two threads that

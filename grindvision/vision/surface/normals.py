@@ -1,4 +1,4 @@
-"""Surface normals: the direction of least spread of a point's neighbours, turned towards the scanner."""
+"""Surface normals: the direction of least variance of a point's neighbours, turned towards the scanner."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ Floats = NDArray[np.float64]
 COS_EDGE_ON = float(np.cos(np.radians(75)))
 """Cosine of the angle between normal and ray from which on scanners see next to nothing."""
 
-MOST_HIDDEN = 0.25
-"""Seen from its scanner, at most this share of a scan's points lies over or under others of it."""
+MAX_HIDDEN = 0.25
+"""Seen from its scanner, at most this fraction of a scan's points lies over or under others of it."""
 
 GLANCE_POINTS = 2000
 """So many points show well enough from where a cloud is seen at one glance."""
 
-MOST_CELLS = 512
+MAX_CELLS = 512
 """Cells from the middle of a cloud to its rim that are told apart; outliers lie farther out."""
 
-LEAST_AGREEING = 0.7
-"""A scanner's place turns normals as ``seen_along`` does: agreeing less contrary share, about 25 degrees apart."""
+MIN_AGREEING = 0.7
+"""A scanner's place orients normals as ``seen_along`` does: agreeing less contrary fraction, about 25 degrees apart."""
 
 
 def estimate_normals(
-    points: ArrayLike, radius_mm: float, most: int | None = None, viewpoint_mm: ArrayLike | None = None
+    points: ArrayLike, radius_mm: float, max_neighbours: int | None = None, viewpoint_mm: ArrayLike | None = None
 ) -> Floats:
     """Unit normals (N, 3) of points (N, 3) by principal component analysis of the neighbours within ``radius_mm``.
 
     Args:
         points: cloud in mm.
         radius_mm: neighbourhood radius.
-        most: take only so many nearest neighbours.
+        max_neighbours: take only so many nearest neighbours.
         viewpoint_mm: the scanner (3,), in the cloud's frame; normals are turned towards it. Left out, they are turned
             to the side from which the cloud can be seen at one glance (``seen_along``), or, where there is none, by
             ``orient_by_neighbours``.
@@ -45,7 +45,7 @@ def estimate_normals(
     A point with fewer than three neighbours gets the normal (0, 0, 0).
     """
     points = check_points(points, "points")
-    around = within_radius(build_cells(points, radius_mm), points, radius_mm, most)
+    around = within_radius(build_cells(points, radius_mm), points, radius_mm, max_neighbours)
     normals = _plane_normals(points, around.starts, around.indices)
     if viewpoint_mm is None:
         direction = seen_along(points, normals, radius_mm)
@@ -78,7 +78,7 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
 
     A single scan is one layer, seen from its scanner, and its normals all face it, however deep its folds and gaps are.
     Of many directions the one is taken from which the points cover most cells; None if from there more than
-    ``MOST_HIDDEN`` of them lie over or under others: whole models, scans merged from several views. Which of its two
+    ``MAX_HIDDEN`` of them lie over or under others: whole models, scans merged from several views. Which of its two
     ends is the outside is told as in ``orient_by_neighbours``.
 
     Args:
@@ -88,9 +88,9 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
     points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
     away = points - points.mean(axis=0)
     height = (np.arange(directions) + 0.5) / directions
-    turn = np.pi * (1 + np.sqrt(5)) * np.arange(directions)
+    azimuth = np.pi * (1 + np.sqrt(5)) * np.arange(directions)
     flat = np.sqrt(1 - height**2)
-    half_sphere = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    half_sphere = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
     direction = half_sphere[np.argmax(_covered_cells(away, half_sphere, float(cell_mm)))]
     across = np.linalg.svd(direction[None])[2][1:]
     _, cell = np.unique(np.floor(away @ across.T / cell_mm) @ [1 << 24, 1], return_inverse=True)
@@ -102,7 +102,7 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
         end = order[np.searchsorted(cell[order], np.arange(cell.max() + 1))][cell]
         explained = cell_mm * (0.6 + 1.2 * np.maximum(steepness, steepness[end]))
         hidden |= np.abs(depth - depth[end]) > explained
-    if hidden.mean() > MOST_HIDDEN:
+    if hidden.mean() > MAX_HIDDEN:
         return None
     facing_normals = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
     bulge = float((facing_normals * away).sum())
@@ -131,13 +131,13 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
         if np.median(np.abs(towards) / np.linalg.norm(places, axis=1)) < COS_EDGE_ON:
             return None
         direction = seen_along(places, facing, 1.5 * float(np.linalg.norm(high - low)) / np.sqrt(len(places)), 100)
-        if direction is None or abs(np.mean(np.sign(towards * (facing @ direction)))) < LEAST_AGREEING:
+        if direction is None or abs(np.mean(np.sign(towards * (facing @ direction)))) < MIN_AGREEING:
             return None
     return np.zeros(3)
 
 
 @njit(cache=True, nogil=True)
-def least_spread(xx, xy, xz, yy, yz, zz):
+def smallest_eigenpair(xx, xy, xz, yy, yz, zz):
     """Smallest eigenvalue of a symmetric 3x3 matrix and its unit eigenvector (value, x, y, z)."""
     scale = max(abs(xx), abs(xy), abs(xz), abs(yy), abs(yz), abs(zz))
     if scale == 0.0:
@@ -145,12 +145,12 @@ def least_spread(xx, xy, xz, yy, yz, zz):
     xx, xy, xz, yy, yz, zz = xx / scale, xy / scale, xz / scale, yy / scale, yz / scale, zz / scale
     mean = (xx + yy + zz) / 3
     dx, dy, dz = xx - mean, yy - mean, zz - mean
-    spread = np.sqrt((dx * dx + dy * dy + dz * dz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    if spread < 1e-14:
+    radius = np.sqrt((dx * dx + dy * dy + dz * dz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    if radius < 1e-14:
         return mean * scale, 0.0, 0.0, 1.0
     det = dx * (dy * dz - yz * yz) - xy * (xy * dz - yz * xz) + xz * (xy * yz - dy * xz)
-    cosine = min(max(det / (2 * spread**3), -1.0), 1.0)
-    value = mean + 2 * spread * np.cos(np.arccos(cosine) / 3 + 2 * np.pi / 3)
+    cosine = min(max(det / (2 * radius**3), -1.0), 1.0)
+    value = mean + 2 * radius * np.cos(np.arccos(cosine) / 3 + 2 * np.pi / 3)
     ax, ay, az = xx - value, yy - value, zz - value
     # the rows of (matrix - value) span the plane across the eigenvector: take the best of their cross products
     best, x, y, z = 0.0, 0.0, 0.0, 1.0
@@ -171,10 +171,10 @@ def least_spread(xx, xy, xz, yy, yz, zz):
 def _covered_cells(away, directions, cell):
     """How many square cells (D,) of the plane across each direction (D, 3) the points, about their mean, cover.
 
-    Points more than ``MOST_CELLS`` away count in the outermost cells.
+    Points more than ``MAX_CELLS`` away count in the outermost cells.
     """
     counts = np.zeros(len(directions), dtype=np.int64)
-    middle = min(int(np.sqrt((away * away).sum(axis=1).max()) / cell) + 2, MOST_CELLS)
+    middle = min(int(np.sqrt((away * away).sum(axis=1).max()) / cell) + 2, MAX_CELLS)
     seen = np.full((2 * middle, 2 * middle), -1, dtype=np.int32)
     for d in range(len(directions)):
         n = directions[d]
@@ -215,7 +215,7 @@ def _plane_normals(points, starts, indices):
             yy += y * y
             yz += y * z
             zz += z * z
-        _, normals[p, 0], normals[p, 1], normals[p, 2] = least_spread(xx, xy, xz, yy, yz, zz)
+        _, normals[p, 0], normals[p, 1], normals[p, 2] = smallest_eigenpair(xx, xy, xz, yy, yz, zz)
     return normals
 
 
@@ -224,16 +224,16 @@ def _propagated(points, normals, starts, indices):
     """Kruskal's tree over the neighbour edges, flattest first, with the sign relation kept in a union-find forest."""
     nearly_flat = 0.1
     edges = len(indices)
-    first, second, turn = np.empty(edges, np.int64), np.empty(edges, np.int64), np.empty(edges)
+    first, second, bending = np.empty(edges, np.int64), np.empty(edges, np.int64), np.empty(edges)
     for p in range(len(points)):
         for at in range(starts[p], starts[p + 1]):
             q = indices[at]
             first[at], second[at] = p, q
-            turn[at] = 1 - abs(
+            bending[at] = 1 - abs(
                 normals[p, 0] * normals[q, 0] + normals[p, 1] * normals[q, 1] + normals[p, 2] * normals[q, 2]
             )
     parent, sign = np.arange(len(points)), np.ones(len(points))
-    for at in np.argsort(turn):
+    for at in np.argsort(bending):
         p, q = first[at], second[at]
         dot = normals[p, 0] * normals[q, 0] + normals[p, 1] * normals[q, 1] + normals[p, 2] * normals[q, 2]
         root_p, sign_p = _root(parent, sign, p)

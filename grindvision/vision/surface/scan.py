@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.geometry import inverse, move_points
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.surface.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.surface.keypoints import Keypoints
 from grindvision.vision.surface.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
@@ -97,8 +97,8 @@ def prepare_pair(
     sample: ArrayLike, test: ArrayLike, viewpoints_mm: tuple[ArrayLike | None, ArrayLike | None] = (None, None)
 ) -> tuple[Scan, Scan]:
     """Both scans at one resolution, side by side in two threads."""
-    resolution = coarser(*side_by_side(choose_resolution, (sample, test)))
-    first, second = side_by_side(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
+    resolution = coarser(*parallel_map(choose_resolution, (sample, test)))
+    first, second = parallel_map(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
     return first, second
 
 

@@ -1,4 +1,4 @@
-"""Heights of points above a scanned surface: the planes of its surfels, blended where several are near."""
+"""Signed distances of points from a scanned surface: the planes of its surfels, blended where several are near."""
 
 from __future__ import annotations
 
@@ -8,46 +8,47 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry.hash_grid import cell_key, find_slot
 from grindvision.geometry.neighbours import nearest_one
-from grindvision.parallel import side_by_side
+from grindvision.parallel import parallel_map
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
 
 
-def heights_above(good: Surfels, points: ArrayLike, most_mm: float) -> tuple[Floats, Floats, Floats]:
-    """Signed heights (N,) of points (N, 3) above a surface of surfels, its normals (N, 3) there, and the variance (N,).
+def signed_distances(target: Surfels, points: ArrayLike, max_mm: float) -> tuple[Floats, Floats, Floats]:
+    """Signed distances (N,) of points (N, 3) from a surface of surfels, positive outside, its normals (N, 3) there, and
+    the variance (N,).
 
     The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
-    where no surfel lies within ``most_mm`` or the point is beside the surface.
+    where no surfel lies within ``max_mm`` or the point is beside the surface.
     """
-    grid = good.grid
-    planes = good.planes
+    grid = target.grid
+    planes = target.planes
     order = np.arange(len(planes))
 
     def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
         return _blended(
-            part, float(most_mm), planes, order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
+            part, float(max_mm), planes, order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
             1.0 / grid.size_mm,
         )  # fmt: skip
 
     halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
-    heights, normals, variances = (
-        np.concatenate(column) for column in zip(*side_by_side(blended, halves), strict=True)
+    distances, normals, variances = (
+        np.concatenate(column) for column in zip(*parallel_map(blended, halves), strict=True)
     )
-    return heights, normals, variances
+    return distances, normals, variances
 
 
 @njit(cache=True, nogil=True)
-def _blended(queries, most, planes, order, starts, table_keys, table_cells, origin, per_mm):
-    """Heights, normals, variances; ``planes`` as ``Surfels`` has them."""
+def _blended(queries, max_mm, planes, order, starts, table_keys, table_cells, origin, per_mm):
+    """Signed distances, normals, variances; ``planes`` as ``Surfels`` has them."""
     number = len(queries)
-    heights, variances = np.full(number, np.nan), np.zeros(number)
+    distances, variances = np.full(number, np.nan), np.zeros(number)
     blended = np.zeros((number, 3))
     size = 1.0 / per_mm
-    spread = 2 * (0.9 * size) ** 2
+    two_variances = 2 * (0.9 * size) ** 2
     for p in range(number):
         x, y, z = queries[p, 0], queries[p, 1], queries[p, 2]
-        q, squared = nearest_one(x, y, z, most, planes, order, starts, table_keys, table_cells, origin, per_mm)
+        q, squared = nearest_one(x, y, z, max_mm, planes, order, starts, table_keys, table_cells, origin, per_mm)
         if q < 0:
             continue
         nx, ny, nz = planes[q, 3], planes[q, 4], planes[q, 5]
@@ -57,7 +58,7 @@ def _blended(queries, most, planes, order, starts, table_keys, table_cells, orig
         # foot of the point on the nearest surfel's plane, around which the planes are blended
         fx, fy, fz = x - along * nx, y - along * ny, z - along * nz
         i0, j0, k0 = int((fx - origin[0]) * per_mm), int((fy - origin[1]) * per_mm), int((fz - origin[2]) * per_mm)
-        total = height = variance = 0.0
+        total = distance = variance = 0.0
         ax = ay = az = 0.0
         for i in range(max(i0 - 1, 0), i0 + 2):
             for j in range(max(j0 - 1, 0), j0 + 2):
@@ -74,17 +75,17 @@ def _blended(queries, most, planes, order, starts, table_keys, table_cells, orig
                         dx, dy, dz = fx - planes[c, 0], fy - planes[c, 1], fz - planes[c, 2]
                         up = mx * dx + my * dy + mz * dz
                         lateral = dx * dx + dy * dy + dz * dz - up * up
-                        weight = planes[c, 6] * np.exp(-lateral / spread)
+                        weight = planes[c, 6] * np.exp(-lateral / two_variances)
                         total += weight
-                        height += weight * (up + facing * along)
+                        distance += weight * (up + facing * along)
                         ax += weight * mx
                         ay += weight * my
                         az += weight * mz
                         variance += weight * weight * planes[c, 7]
         if total == 0.0:
             continue
-        heights[p] = height / total
+        distances[p] = distance / total
         variances[p] = variance / (total * total)
         length = np.sqrt(ax * ax + ay * ay + az * az)
         blended[p, 0], blended[p, 1], blended[p, 2] = ax / length, ay / length, az / length
-    return heights, blended, variances
+    return distances, blended, variances

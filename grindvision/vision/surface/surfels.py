@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import CellGrid, assign_cells, cell_key, cell_origin, find_slot
-from grindvision.vision.surface.normals import least_spread
+from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -27,8 +27,8 @@ class Surfels:
     """Planes of a scan, one per occupied cell of ``grid``; the grid's points are the means of the cells' points.
 
     ``normals`` (M, 3) unit, unsigned until oriented, zero where no plane could be fitted; ``counts`` (M,) points per
-    cell; ``noise_mm`` (M,) spread of the cell's points along the normal; ``roughness_mm`` (M,) rms distance of the
-    points of the 27 cells around from their common plane.
+    cell; ``noise_mm`` (M,) standard deviation of the cell's points along the normal; ``roughness_mm`` (M,) rms distance
+    of the points of the 27 cells around from their common plane.
     """
 
     grid: CellGrid
@@ -80,7 +80,7 @@ def surface_area(points: ArrayLike) -> float:
         DegenerateError: fewer than 10 points, or all in one place.
     """
     points = np.asarray(points, dtype=float)
-    points = check_points(points[:: max(len(points) // 20_000, 1)], "points", least=10)
+    points = check_points(points[:: max(len(points) // 20_000, 1)], "points", min_points=10)
     size = float(np.linalg.norm(np.ptp(points, axis=0))) / 70
     if not size > 0:
         raise DegenerateError("all points of the cloud coincide; is this the right file?")
@@ -144,7 +144,7 @@ def _fit_planes(keys, sums, table_keys, table_cells, origin, size):
                     zz += s[9] + dk * (2 * s[3] + dk * s[0])
         if n < 4:
             continue
-        value, a, b, d = least_spread(
+        value, a, b, d = smallest_eigenpair(
             xx - x * x / n, xy - x * y / n, xz - x * z / n, yy - y * y / n, yz - y * z / n, zz - z * z / n
         )
         normals[c, 0], normals[c, 1], normals[c, 2] = a, b, d
