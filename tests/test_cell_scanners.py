@@ -185,7 +185,7 @@ def test_bad_error_budgets_are_named():
         ScannerErrors(white_mm=-1)
     with pytest.raises(InputError, match="no error source wind"):
         ScannerErrors().only("wind")
-    with pytest.raises(InputError, match="share of pixels"):
+    with pytest.raises(InputError, match="fraction of pixels"):
         ScannerErrors(mixed_pixels=2.0)
     with pytest.raises(InputError, match="reference distance"):
         replace(cell.StructuredLightScanner(), reference_mm=900.0)
