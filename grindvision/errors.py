@@ -55,3 +55,7 @@ class SendError(GrindvisionError):
 
 class NoGrooveError(GrindvisionError):
     """The cloud shows no weld groove."""
+
+
+class MissingExtraError(GrindvisionError, ImportError):
+    """A package of one of grindvision's extras is not installed; the message holds the ``pip install`` line."""

@@ -6,8 +6,7 @@ import pytest
 
 from grindvision import arm as arms
 from grindvision import geometry, paper
-from grindvision.arm.model import pinocchio_model
-from grindvision.arm.urdf import urdf_model
+from grindvision.arm.model import pinocchio_model, urdf_model
 from grindvision.errors import FileError, InputError, NotRigidError, UnitError
 
 STEP = 1e-6

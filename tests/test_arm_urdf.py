@@ -1,14 +1,13 @@
 """A URDF becomes the modified DH table of the same arm; a file that is no robot is refused in one line."""
 
-from importlib import metadata
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from grindvision.arm import PARAMETERS, forward, read_arm
-from grindvision.arm.urdf import mesh_files, urdf_arm, urdf_model
+from grindvision.arm.model import urdf_model
+from grindvision.arm.urdf import mesh_files, urdf_arm
+from grindvision.data_files import data_folder
 from grindvision.errors import FileError, UnitError
 from grindvision.motion import urdf_robot, welding_torch
 
@@ -58,14 +57,59 @@ def test_axes_meant_to_be_parallel_get_a_tilt_and_not_a_link_of_kilometres(tmp_p
     assert 0 < np.abs(arm.table[:, 4]).max() < 1e-3
 
 
-@pytest.mark.parametrize(("name", "joints"), [("ur5_robot", 6), ("ur10_robot", 4), ("panda", 7)])
-def test_robots_as_their_makers_describe_them(name, joints, rng):
-    files = metadata.distribution("example-robot-data").files
-    path = next(Path(str(file.locate())) for file in files if file.name == f"{name}.urdf")
-    arm = urdf_arm(path, joints)
-    assert fixed_behind_the_last_joint(path, arm, rng) < 1e-8
-    if name == "ur5_robot":
-        np.testing.assert_allclose(np.abs(arm.table[:5, 1]), [0, 0, 425, 392.25, 0], atol=1e-9)
+HALF = np.pi / 2
+#: Joints as the makers' descriptions have them: (xyz in m, rpy in rad) and axes.
+MADE = {
+    "ur5": (
+        [
+            ([0, 0, 0.089159], [0, 0, 0]),
+            ([0, 0.13585, 0], [0, HALF, 0]),
+            ([0, -0.1197, 0.425], [0, 0, 0]),
+            ([0, 0, 0.39225], [0, HALF, 0]),
+            ([0, 0.093, 0], [0, 0, 0]),
+            ([0, 0, 0.09465], [0, 0, 0]),
+        ],
+        [[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0]],
+    ),
+    "panda": (
+        [
+            ([0, 0, 0.333], [0, 0, 0]),
+            ([0, 0, 0], [-HALF, 0, 0]),
+            ([0, -0.316, 0], [HALF, 0, 0]),
+            ([0.0825, 0, 0], [HALF, 0, 0]),
+            ([-0.0825, 0.384, 0], [-HALF, 0, 0]),
+            ([0, 0, 0], [HALF, 0, 0]),
+            ([0.088, 0, 0], [HALF, 0, 0]),
+        ],
+        [[0, 0, 1]] * 7,
+    ),
+}
+FINGERS = "".join(
+    f'<link name="f{i}"/><joint name="finger{i}" type="prismatic"><parent link="hand"/><child link="f{i}"/>'
+    f'<axis xyz="0 {sign} 0"/><limit effort="1" lower="0" upper="0.04" velocity="1"/></joint>'
+    for i, sign in enumerate((1, -1))
+)
+
+
+@pytest.mark.parametrize(("name", "joints"), [("ur5", 6), ("ur5", 4), ("panda", 7)])
+def test_robots_as_their_makers_describe_them(tmp_path, name, joints, rng):
+    hand = '<link name="hand"/><joint name="flange" type="fixed"><parent link="link7"/><child link="hand"/></joint>'
+    text = urdf(*MADE[name])
+    (tmp_path / "arm.urdf").write_text(text.replace("</robot>", hand + FINGERS + "</robot>") if joints == 7 else text)
+    arm = urdf_arm(tmp_path / "arm.urdf", joints)
+    assert fixed_behind_the_last_joint(tmp_path / "arm.urdf", arm, rng) < 1e-8
+    if name == "ur5":
+        np.testing.assert_allclose(np.abs(arm.table[:4, 1]), [0, 0, 425, 392.25][: len(arm.table)], atol=1e-9)
+    if joints == 7:
+        with pytest.raises(FileError, match="not a single chain of 9 revolute joints"):
+            urdf_arm(tmp_path / "arm.urdf")
+
+
+def test_the_ur3_that_comes_with_the_package(rng):
+    path = data_folder() / "robots" / "ur3" / "ur3.urdf"
+    arm = urdf_arm(path)
+    assert arm.joints[0] == "shoulder_pan_joint" and fixed_behind_the_last_joint(path, arm, rng) < 1e-8
+    assert all((path.parent / name).is_file() for name in mesh_files(path))
 
 
 BAD = {
@@ -76,6 +120,23 @@ BAD = {
     "laughs": ('<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "XML entities"),
     "slide": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]], "prismatic"), "not a single chain of 1 revolute joints"),
     "aside": (urdf([([0, 0.2, 0], [0, 0, 0])], [[0, 0, 1]]), "does not cross the root link's x axis"),
+    "huge": (urdf([([0, 0, 1e300], [0, 0, 0])], [[0, 0, 1]]), "a number within 1e6 is needed"),
+    "no_number": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]]).replace('xyz="0 0 0"', 'xyz="0 0 x"'), "holds 'x'"),
+    "no_axis": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 0]]), "axis of length zero"),
+    "orphan": (
+        urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]]).replace('parent link="link0"', 'parent link="x"'),
+        "link 'x'",
+    ),
+    "loop": (
+        ('<robot name="a"><link name="b"/><link name="c"/>' + 2 * "{}" + "</robot>").format(
+            *(
+                f'<joint name="{a}" type="fixed"><parent link="{a}"/><child link="{b}"/></joint>'
+                for a, b in ("bc", "cb")
+            )
+        ),
+        "no root link",
+    ),
+    "encoding": ('<?xml version="1.0" encoding="UTF-7"?><robot name="a"/>', "not a readable URDF"),
     "no_joint": ('<robot name="a"><link name="b"/></robot>', "it has 0 joints"),
 }
 

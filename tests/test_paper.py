@@ -97,5 +97,5 @@ def test_damaged_expected_values_are_refused(damaged):
 
 def test_a_missing_data_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("GRINDVISION_DATA", str(tmp_path / "none"))
-    with pytest.raises(FileError, match="checkout"):
+    with pytest.raises(FileError, match="GRINDVISION_DATA must name"):
         paper.expected()

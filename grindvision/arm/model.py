@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-import pinocchio as pin
 
 from grindvision.arm.mdh import MdhArm
+from grindvision.arm.urdf import urdf_skeleton
+from grindvision.errors import FileError
+from grindvision.extras import extra
+
+with extra("robot"):
+    import pinocchio as pin
 
 
 def pinocchio_model(arm: MdhArm) -> pin.Model:
@@ -23,6 +30,20 @@ def pinocchio_model(arm: MdhArm) -> pin.Model:
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, name)
         model.addJointFrame(parent)
     return model
+
+
+def urdf_model(path: str | Path) -> pin.Model:
+    """Pinocchio model of a URDF file's joints; lengths in metres, as URDF has them, and no masses.
+
+    Raises:
+        FileError: the file is missing, is no URDF, or is nested or sized as no robot description is.
+    """
+    skeleton = urdf_skeleton(path)
+    try:
+        return pin.buildModelFromXML(skeleton)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+    raise FileError(f"{path}: not a readable URDF ({reason}); mend it") from None
 
 
 def in_millimetres(model: pin.Model) -> pin.Model:

@@ -1,25 +1,24 @@
-"""Robot files in URDF, judged before a parser sees them, and turned into a modified DH table.
+"""Robot files in URDF: judged before any parser of a library sees them, and turned into a modified DH table.
 
 Only the kinematics are read: no mesh that the file names is opened.
 """
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
+import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from grindvision.arm.mdh import MdhArm
 from grindvision.errors import FileError
+from grindvision.geometry import rigid
 
 Floats = NDArray[np.float64]
 Line = tuple[Floats, Floats]
@@ -29,22 +28,27 @@ LARGEST_URDF, DEEPEST = 20_000_000, 200
 #: Axes whose directions differ by less (rad) are meant to be parallel, lines nearer than this (mm) meet.
 PARALLEL_RAD, MEETING_MM = 0.02, 1e-6
 
+#: Numbers beyond this (m, rad, and their rates) belong to no robot.
+LARGEST_NUMBER = 1e6
 
-def urdf_model(path: str | Path) -> pin.Model:
-    """Pinocchio model of a URDF file; lengths in metres, as URDF has them.
+REVOLUTE = ("revolute", "continuous")
+KINDS = (*REVOLUTE, "prismatic", "fixed", "floating", "planar")
+ROLES = ("parent", "child")
 
-    Raises:
-        FileError: the file is missing, is no URDF, or is nested or sized as no robot description is.
-    """
-    path = Path(path)
-    mesh_files(path)
-    with _parser_silenced() as said:
-        try:
-            return pin.buildModelFromUrdf(str(path))
-        except (ValueError, RuntimeError) as error:
-            failure = error
-    reason = next((line.split("Error:", 1)[1].strip() for line in said if "Error:" in line), str(failure))
-    raise FileError(f"{path}: not a readable URDF ({' '.join(reason.split())[:200]}); mend it") from None
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """One joint of a URDF file: ``T_parent_joint`` (4, 4) at angle zero, in m; unit ``axis`` (3,) in its own frame."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent_joint: Floats
+    axis: Floats
+
+    def __str__(self) -> str:
+        return f"{self.kind} joint {self.name} from {self.parent} to {self.child}"
 
 
 def mesh_files(path: str | Path) -> list[str]:
@@ -53,21 +57,67 @@ def mesh_files(path: str | Path) -> list[str]:
     Raises:
         FileError: missing, no XML, or nested or sized as no robot description is.
     """
+    return [mesh.attrib["filename"] for mesh in _robot(Path(path)).iter("mesh") if "filename" in mesh.attrib]
+
+
+def urdf_joints(path: str | Path) -> list[UrdfJoint]:
+    """Every joint of a URDF file, in file order; its links form one tree.
+
+    Raises:
+        FileError: missing, no URDF, or nested or sized as no robot description is; a joint names a link that is not
+            there; no single root link; a number that is none.
+    """
     path = Path(path)
+    return _joints(path, _robot(path))
+
+
+def urdf_skeleton(path: str | Path) -> str:
+    """A URDF file's joints and collision meshes as URDF text, without all that is not needed to move the arm.
+
+    Raises:
+        FileError: as ``urdf_joints``; a joint that needs limits has none.
+    """
+    path = Path(path)
+    robot = _robot(path)
+    _joints(path, robot)
+    skeleton = ElementTree.Element("robot", name=robot.get("name", path.stem))
+    for link in robot.findall("link"):
+        kept = ElementTree.SubElement(skeleton, "link", name=link.attrib["name"])
+        for collision in link.findall("collision"):
+            mesh = collision.find("geometry/mesh")
+            if mesh is not None and "filename" in mesh.attrib:
+                _numbers(path, mesh, "scale", (1, 1, 1))
+                body = ElementTree.SubElement(kept, "collision")
+                body.extend(_origin_of(path, collision))
+                ElementTree.SubElement(body, "geometry").append(mesh)
+    for joint in robot.findall("joint"):
+        kept = ElementTree.SubElement(skeleton, "joint", name=joint.attrib["name"], type=joint.attrib["type"])
+        kept.extend(_origin_of(path, joint))
+        kept.extend(part for part in joint if part.tag in ("parent", "child", "axis"))
+        limit = joint.find("limit")
+        if joint.attrib["type"] in ("revolute", "prismatic"):
+            needed = ("lower", "upper", "effort", "velocity")
+            missing = [name for name in needed if limit is None or name not in limit.attrib]
+            if missing:
+                raise FileError(f"{path}: joint {joint.attrib['name']} has no limit {missing[0]}; add it")
+        if limit is not None:
+            kept.append(ElementTree.Element("limit", {key: str(_number(path, limit, key)) for key in limit.attrib}))
+    return ElementTree.tostring(skeleton, encoding="unicode")
+
+
+def _robot(path: Path) -> ElementTree.Element:
+    """Root element of a URDF file that is sized and nested as a robot description is, and defines no entities."""
     if not path.is_file():
         raise FileError(f"{path}: no such file; give the path of a URDF robot description")
     if path.stat().st_size > LARGEST_URDF:
         raise FileError(f"{path}: {path.stat().st_size} bytes; a URDF robot description is small, check the path")
-    found: list[str] = []
     depth = 0
 
-    def begin(name: str, attributes: dict[str, str]) -> None:
+    def begin(*_: object) -> None:
         nonlocal depth
         depth += 1
         if depth > DEEPEST:
             raise FileError(f"{path}: elements nested {depth} deep; that is no robot description")
-        if name == "mesh" and "filename" in attributes:
-            found.append(attributes["filename"])
 
     def end(_: str) -> None:
         nonlocal depth
@@ -79,12 +129,92 @@ def mesh_files(path: str | Path) -> list[str]:
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, no_entities
     try:
-        parser.Parse(path.read_bytes(), True)
-    except expat.ExpatError as error:
+        content = path.read_bytes()
+        parser.Parse(content, True)
+        robot = ElementTree.fromstring(content)
+    except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError) as error:
         raise FileError(f"{path}: not a readable URDF ({error}); export it again") from None
     except OSError as error:
         raise FileError(f"{path}: cannot be read ({error.strerror}); check the file and its rights") from None
-    return found
+    if robot.tag != "robot":
+        raise FileError(f"{path}: not a readable URDF (its root is {robot.tag[:80]!r}, not 'robot'); export it again")
+    return robot
+
+
+def _joints(path: Path, robot: ElementTree.Element) -> list[UrdfJoint]:
+    links = _names(path, robot, "link")
+    _names(path, robot, "joint")
+    joints = []
+    for element in robot.findall("joint"):
+        name, kind = element.attrib["name"], element.get("type", "")
+        ends = [(element.find(role) if element.find(role) is not None else element).get("link", "") for role in ROLES]
+        unknown = [end for end in ends if end not in links]
+        if kind not in KINDS or unknown:
+            what = f"type {kind!r}" if kind not in KINDS else f"link {unknown[0]!r}"
+            raise FileError(f"{path}: not a readable URDF (joint {name} has an unknown {what}); mend it")
+        axis = np.array(_numbers(path, element.find("axis"), "xyz", (1, 0, 0)))
+        if not np.linalg.norm(axis) > 1e-6:
+            raise FileError(f"{path}: joint {name} has an axis of length zero; mend it")
+        origin = element.find("origin")
+        rotation = Rotation.from_euler("xyz", _numbers(path, origin, "rpy", (0, 0, 0))).as_matrix()
+        T_parent_joint = rigid(rotation, np.array(_numbers(path, origin, "xyz", (0, 0, 0))))
+        joints.append(UrdfJoint(name, kind, ends[0], ends[1], T_parent_joint, axis / np.linalg.norm(axis)))
+    children = [joint.child for joint in joints]
+    twice = next((link for link in links if children.count(link) > 1), None)
+    if twice is not None:
+        raise FileError(f"{path}: not a readable URDF (link {twice} hangs on two joints); mend it")
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        what = f"Two root links: {roots[0]} and {roots[1]}" if roots else "no root link"
+        raise FileError(f"{path}: not a readable URDF ({what}); mend it")
+    return joints
+
+
+def _names(path: Path, robot: ElementTree.Element, kind: str) -> dict[str, None]:
+    """Names of all elements of a kind, in file order."""
+    names = [element.get("name", "") for element in robot.findall(kind)]
+    odd = next((name for i, name in enumerate(names) if not name or name in names[:i]), None)
+    if odd is not None:
+        raise FileError(
+            f"{path}: not a readable URDF (a {kind} has {odd!r} for a name, which is empty or taken); mend it"
+        )
+    return dict.fromkeys(names)
+
+
+def _origin_of(path: Path, element: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    """The element's origin, where it has one, with numbers that are some."""
+    origin = element.find("origin")
+    if origin is not None:
+        for key in ("xyz", "rpy"):
+            _numbers(path, origin, key, (0, 0, 0))
+        yield origin
+
+
+def _numbers(
+    path: Path, element: ElementTree.Element | None, key: str, default: tuple[float, float, float]
+) -> tuple[float, ...]:
+    """Three numbers of an attribute, or the default where it is not there."""
+    text = None if element is None else element.get(key)
+    if element is None or text is None:
+        return default
+    words = text.split()
+    if len(words) != 3:
+        raise FileError(f"{path}: {element.tag} {key} is {text[:80]!r}; three numbers are needed")
+    return tuple(_finite(path, element, key, word) for word in words)
+
+
+def _number(path: Path, element: ElementTree.Element, key: str) -> float:
+    return _finite(path, element, key, element.attrib[key])
+
+
+def _finite(path: Path, element: ElementTree.Element, key: str, word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= LARGEST_NUMBER:
+        raise FileError(f"{path}: {element.tag} {key} holds {word[:80]!r}; a number within 1e6 is needed")
+    return value
 
 
 def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
@@ -97,29 +227,46 @@ def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
         FileError: no URDF; fewer joints; no single chain of revolute joints; a first axis that no table can place in
             the root's frame.
     """
-    model = urdf_model(path)
-    count = model.njoints - 1 if joints is None else joints
-    if not 0 < count < model.njoints:
-        raise FileError(f"{path}: it has {model.njoints - 1} joints, {count} are needed")
-    data = model.createData()
-    jacobian = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, -1)
-    revolute = all(joint.nv == 1 for joint in list(model.joints)[1 : count + 1])
-    chain = list(model.parents)[1 : count + 1] == list(range(count))
-    if not (revolute and chain and np.allclose(np.linalg.norm(jacobian[3:, :count], axis=0), 1.0)):
-        raise FileError(
-            f"{path}: not a single chain of {count} revolute joints; remove grippers, wheels and prismatic joints"
-        )
-    lines = [
-        (axis, np.cross(axis, 1000.0 * moment))
-        for moment, axis in zip(*np.split(jacobian.T[:count], 2, axis=1), strict=True)
-    ]
+    chain = _revolute_chain(Path(path), joints)
+    lines = [(T[:3, :3] @ joint.axis, 1000.0 * T[:3, 3]) for joint, T in chain]
     table = _table_of_lines(lines)
     if table is None:
         raise FileError(
             f"{path}: the first joint's axis does not cross the root link's x axis; rotate or move the root link, or"
             " give the modified DH table as CSV"
         )
-    return MdhArm(table, tuple(list(model.names)[1 : count + 1]))
+    return MdhArm(table, tuple(joint.name for joint, _ in chain))
+
+
+def _revolute_chain(path: Path, count: int | None) -> list[tuple[UrdfJoint, Floats]]:
+    """The first ``count`` moving joints (all of them for None) with T_root_joint (4, 4) at zero angles, in m."""
+    joints = urdf_joints(path)
+    moving = sum(joint.kind != "fixed" for joint in joints)
+    count = moving if count is None else count
+    if not 0 < count <= moving:
+        raise FileError(f"{path}: it has {moving} joints, {count} are needed")
+    leaving: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        leaving.setdefault(joint.parent, []).append(joint)
+    at = {next(joint.parent for joint in joints if all(joint.parent != other.child for other in joints)): np.eye(4)}
+    found: list[tuple[UrdfJoint, Floats]] = []
+    while len(found) < count:
+        following = []
+        while at:  # every link that is fixed to the last joint
+            link, T_root_link = at.popitem()
+            for joint in leaving.get(link, []):
+                T_root_joint = T_root_link @ joint.T_parent_joint
+                if joint.kind == "fixed":
+                    at[joint.child] = T_root_joint
+                else:
+                    following.append((joint, T_root_joint))
+        if len(following) != 1 or following[0][0].kind not in REVOLUTE:
+            raise FileError(
+                f"{path}: not a single chain of {count} revolute joints; remove grippers, wheels and prismatic joints"
+            )
+        found += following
+        at = {following[0][0].child: following[0][1]}
+    return found
 
 
 def _table_of_lines(lines: list[Line]) -> Floats | None:
@@ -169,20 +316,3 @@ def _crossing(line: Line, sides: Floats) -> Floats | None:
         return None
     crossing = point - axis * (offset @ slope) / (slope @ slope)
     return crossing if np.linalg.norm(sides.T @ crossing) < MEETING_MM else None
-
-
-@contextmanager
-def _parser_silenced() -> Iterator[list[str]]:
-    """What the C++ parser writes to the error stream inside the block, as lines; nothing of it is shown."""
-    lines: list[str] = []
-    sys.stderr.flush()
-    kept = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
-        try:
-            yield lines
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            said.seek(0)
-            lines += said.read().decode(errors="replace").splitlines()

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision import paper
 from grindvision.arm import MdhArm, forward, read_arm
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
+from grindvision.data_files import data_folder
 from grindvision.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -27,7 +28,7 @@ def nominal_arm() -> MdhArm:
     Raises:
         FileError: ``data/robots/er3a_c60.csv`` is missing or damaged.
     """
-    return read_arm(paper.data_folder() / "robots" / "er3a_c60.csv").first(SCANNER_JOINT)
+    return read_arm(data_folder() / "robots" / "er3a_c60.csv").first(SCANNER_JOINT)
 
 
 def true_arm() -> MdhArm:

@@ -6,12 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import manifold3d as m3
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.cell.solids import Shape, Solid, check_size, height_field, swept
 from grindvision.errors import InputError
+from grindvision.extras import extra
+
+with extra("sim"):
+    import manifold3d as m3
 
 Floats = NDArray[np.float64]
 Surface = Callable[[Floats, Floats], Floats]

@@ -8,10 +8,13 @@ from functools import lru_cache
 
 import numba as nb
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from grindvision.cell.solids import Solid
+from grindvision.extras import extra
+
+with extra("sim"):
+    import open3d as o3d
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

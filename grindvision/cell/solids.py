@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import manifold3d as m3
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
+from grindvision.extras import extra
 from grindvision.geometry import move_points
+
+with extra("sim"):
+    import manifold3d as m3
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

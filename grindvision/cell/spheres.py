@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import manifold3d as m3
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,8 +14,12 @@ from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
+from grindvision.extras import extra
 from grindvision.geometry import SphereFit, inverse, move_points, rigid, rotate_vectors
 from grindvision.geometry.ransac import ransac_sphere
+
+with extra("sim"):
+    import manifold3d as m3
 
 Floats = NDArray[np.float64]
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import manifold3d as m3
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.cell.solids import Shape, Solid, box, check_size, swept
 from grindvision.errors import InputError
+from grindvision.extras import extra
+
+with extra("sim"):
+    import manifold3d as m3
 
 Floats = NDArray[np.float64]
 

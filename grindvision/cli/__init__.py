@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from grindvision import __version__
 from grindvision.cli.parameters import with_parameter_file
-from grindvision.errors import GrindvisionError, GrindvisionWarning
+from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError
 
 COMMANDS = {
     "book": "rebuild chapters, figures and the scoreboard (and the HTML book)",
@@ -81,7 +81,12 @@ def _run(name: str, words: list[str]) -> int:
             at = words.index(name) + 1
             words = words[:at] + with_parameter_file(command, words[at:])
     options = parser.parse_args(words)
-    return int(module.run(options))
+    try:
+        return int(module.run(options))
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "grindvision_book":
+            raise
+        raise MissingExtraError("it is no part of the installed package; run ./run book in a checkout") from error
 
 
 def _failure(name: str, message: str, code: int) -> int:

@@ -92,13 +92,14 @@ def run(options: argparse.Namespace) -> int:
 
     from dataclasses import replace
 
-    import matplotlib.figure  # noqa: F401  loading it is not part of the work that is timed
     import numpy as np
 
     import grindvision.calibration as calibration
     from grindvision.arm import write_arm
+    from grindvision.cli.pictures import drawing
     from grindvision.files import write_json
 
+    draw = drawing("calibrate_picture")
     settings = calibration.Options(
         base_fixed=options.base_fixed,
         free=None if options.free is None else tuple(options.free),
@@ -132,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             hand_eye = {"T_joint_scanner": result.cell.T_joint_scanner, "T_tracker_base": result.cell.T_tracker_base}
             write_json(work.place / "hand_eye.json", hand_eye)
         with work.stage("picture"):
-            _draw(result, unseen, work.warnings, work.place / "report.png")
+            draw(result, unseen, work.warnings, work.place / "report.png")
         point = "reflector on the tool, found" if measurements.on_tool else "scanner on the last joint"
         values: dict[str, Any] = {
             "joints": arm.n,
@@ -192,50 +193,3 @@ def _results(result: Calibration, unseen: HeldOut) -> dict[str, Any]:
         "iterations": result.iterations,
         "converged": result.converged,
     }
-
-
-def _draw(result: Calibration, unseen: HeldOut, warnings: Sequence[str], path: Path) -> None:
-    """Draw report.png: the verdict, errors before and after, where they point, what can be known."""
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from grindvision.cli.verdict import draw_verdict
-    from grindvision.files import write_whole
-
-    before, after = "#999999", "#0072B2"
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    (errors, arrows), (values, words) = figure.subplots(2, 2)
-
-    for residuals, colour, label in ((unseen.before_mm, before, "before"), (unseen.after_mm, after, "after")):
-        lengths = np.sort(np.linalg.norm(residuals, axis=1))
-        errors.step(lengths, np.arange(1, len(lengths) + 1) / len(lengths), color=colour, label=label, where="post")
-    errors.set(xscale="log", xlabel="error of unseen points, mm", ylabel="share of points below", ylim=(0, 1))
-    errors.legend(frameon=False)
-
-    for axis, colour, marker in ((0, "#E69F00", "o"), (1, "#009E73", "s"), (2, after, "^")):
-        arrows.plot(unseen.rows + 1, unseen.after_mm[:, axis], marker, color=colour, ms=3, label="xyz"[axis])
-    arrows.axhline(0, color="black", lw=0.5)
-    arrows.set(xlabel="row of the measurement file", ylabel="residual after, tracker frame, mm")
-    arrows.legend(frameon=False, ncols=3)
-
-    singular, rank = result.identifiability.singular_values, result.identifiability.rank
-    numbers = np.arange(1, len(singular) + 1)
-    values.semilogy(numbers[:rank], singular[:rank], "o", color=after, label="known")
-    floor = singular[rank - 1] / 100
-    values.semilogy(numbers[rank:], np.maximum(singular[rank:], floor), "x", color="#D55E00", label="not known")
-    values.set(xlabel="combination of unknowns", ylabel="singular value, 1/mm", title=f"rank {rank} of {len(singular)}")
-    values.legend(frameon=False)
-
-    words.axis("off")
-    lines = [f"arm of {result.arm.n} joints, {len(singular)} unknowns", str(result.spreads).replace("; ", "\n"), ""]
-    lines += ["Cannot be told apart:"] * bool(result.identifiability.sentences)
-    lines += [f"  {sentence}" for sentence in result.identifiability.sentences]
-    words.text(0, 1, "\n".join(line[:95] for line in lines), va="top", fontsize=9, transform=words.transAxes)
-    after_mm, before_mm = unseen.after, unseen.before
-    verdict = f"Calibrated: unseen points are {after_mm.mean:.3f} mm off on average, {after_mm.max:.3f} mm at most"
-    if after_mm.mean >= before_mm.mean:
-        verdict = "Calibration did not help"
-    facts = f"Before: {before_mm.mean:.3f} mm on average, {before_mm.max:.3f} mm at most. Unseen: {unseen.how}."
-    draw_verdict(figure, verdict, facts, warnings)
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from grindvision.cli.parameters import number
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
-
-if TYPE_CHECKING:
-    from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 EPILOG = """\
 Scan one flat plate that fills the view; move it (or the scanner) along its normal by known steps, scan again. The steps
@@ -66,9 +60,11 @@ def run(options: argparse.Namespace) -> int:
 
     import numpy as np
 
+    from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points
     from grindvision.vision.depth_calibration.field_correction import calibrate_field, held_out_rms_mm, write_field
 
+    draw = drawing("calibrate_field_picture")
     with Run(options, ("plates",), ("numpy", "scipy", "numba", "matplotlib"), 5) as work:
         with work.stage("read"):
             clouds = read_scans(options.plates, options.unit)
@@ -88,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("write"):
             write_field(field, work.place / "field.npz")
         with work.stage("picture"):
-            _draw(field, unseen, work.warnings, work.place / "report.png")
+            draw(field, unseen, work.warnings, work.place / "report.png")
         results = {
             "rms_mm": float(np.sqrt(np.mean(field.error_grid_mm**2))),
             "held_out_rms_mm": None if unseen is None else {"before": unseen[0], "after": unseen[1]},
@@ -101,37 +97,3 @@ def run(options: argparse.Namespace) -> int:
         )
         work.report(str(field), results, {"nodes": field.error_grid_mm.shape}, shown=stays)
     return 0
-
-
-def _draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Sequence[str], path: Path) -> None:
-    """Draw report.png: the verdict, and the depth error at the nearest and at the farthest plate."""
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from grindvision.cli.verdict import draw_verdict
-    from grindvision.files import write_whole
-
-    figure = Figure(figsize=(11, 5), layout="constrained")
-    panels = figure.subplots(1, 2)
-    most = np.abs(field.error_grid_mm).max()
-    for panel, layer, distance in zip(panels, (0, -1), field.low[2:].tolist() + field.high[2:].tolist(), strict=True):
-        (left, bottom), (right, top) = field.low[:2] * distance, field.high[:2] * distance
-        image = panel.imshow(
-            field.error_grid_mm[:, :, layer].T,
-            extent=(left, right, bottom, top),
-            origin="lower",
-            cmap="RdBu_r",
-            vmin=-most,
-            vmax=most,
-        )
-        panel.set(title=f"{distance:.0f} mm away", xlabel="x, mm, scanner frame", ylabel="y, mm")
-    figure.colorbar(image, ax=panels, label="depth error that is taken off, mm", shrink=0.8)
-    verdict, facts = "Calibrated, but not tested", "Scan at least three plates to test it."
-    if unseen is not None:
-        verdict = f"Calibrated: a plate that took no part is off flat by {unseen[1]:.2f} mm rms"
-        facts = f"Before: {unseen[0]:.2f} mm rms. Noise is in both numbers."
-        if unseen[1] >= unseen[0]:
-            verdict = "Calibration did not help"
-    draw_verdict(figure, verdict, facts, told)
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)

@@ -80,12 +80,13 @@ def run(options: argparse.Namespace) -> int:
     check_count("--points", options.points, 1, 100_000)
     check_count("--seed", options.seed, 0, 10**18)
 
-    from grindvision.cli.detect_picture import draw
+    from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points, write_ply
     from grindvision.files import write_text
     from grindvision.geometry import move_points, rotate_vectors
     from grindvision.vision.change.detection import STAGES, DetectOptions, detect
 
+    draw = drawing("detect_picture")
     field = read_correction(options.field_correction, options.test_viewpoint)
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     libraries = ("numpy", "scipy", "numba", "matplotlib")

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from grindvision.cli.verdict import draw_verdict
+from grindvision.extras import extra
 from grindvision.files import write_whole
 from grindvision.geometry import inverse, move_points
+
+with extra("plot"):
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
     from grindvision.vision.change.detection import Detection

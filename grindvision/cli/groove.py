@@ -85,12 +85,13 @@ def run(options: argparse.Namespace) -> int:
 
     import numpy as np
 
-    from grindvision.cli.groove_picture import draw
+    from grindvision.cli.pictures import drawing
     from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
     from grindvision.motion.trajectory import tool_trajectory
     from grindvision.vision.seam.weld import trace_weld
 
+    draw = drawing("groove_picture")
     job = robot_job(options)
     field = read_correction(options.field_correction, options.viewpoint)
     libraries = ("numpy", "scipy", "numba", "matplotlib")

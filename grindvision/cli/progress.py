@@ -1,4 +1,4 @@
-"""A bar on stderr that counts the stages of a command: on a terminal only, and only when it takes a while."""
+"""A bar on stderr that counts the stages of a command: on a terminal, when it takes a while, where tqdm is."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ class Progress:
     def _watch(self) -> None:
         if self._stop.wait(PATIENCE_S):
             return
-        from tqdm import tqdm
+        try:
+            from tqdm import tqdm
+        except ImportError:
+            return
 
         shape = "{desc:>14} {bar:30} {n_fmt} of {total_fmt} stages, {elapsed}"
         with tqdm(total=self._stages, bar_format=shape, file=sys.stderr, leave=False) as bar:

@@ -9,8 +9,8 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from importlib.metadata import version
+from contextlib import ExitStack, contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +57,7 @@ class Run:
         self._inputs = inputs
         self._libraries = libraries
         self._stages = stages
-        self._outdated = outdated
+        self._outdated = (*outdated, "report.png")
         self._stack = ExitStack()
         self._times_s: dict[str, float] = {}
         self._output = ""
@@ -149,8 +149,7 @@ class Run:
             "timings_s": {
                 name: round(value, 6) for name, value in ({**self._times_s, **(times_s or {}), "total": total}).items()
             },
-            "versions": {"grindvision": __version__, "python": platform.python_version()}
-            | {name: version(name) for name in self._libraries},
+            "versions": {"grindvision": __version__, "python": platform.python_version()} | _versions(self._libraries),
             "parameters": parameters,
             "from_the_data": from_the_data,
             "inputs": hashes,
@@ -160,3 +159,12 @@ class Run:
         write_text(self.place / REPORT, text + "\n")
         lines = [message, shown, f"in {self._options.output}: {', '.join(names)}"]
         self._output = text if self._options.json else "\n".join(line for line in lines if line)
+
+
+def _versions(libraries: Sequence[str]) -> dict[str, str]:
+    """Versions of those that are installed."""
+    found = {}
+    for name in libraries:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found

@@ -47,8 +47,9 @@ def run(options: argparse.Namespace) -> int:
 
     import numpy as np
 
-    from grindvision.cli.simulate_picture import draw
+    from grindvision.cli.pictures import drawing
 
+    draw = drawing("simulate_picture")
     make, write = {
         "grinding": (_grinding_scene, _write_grinding),
         "welding": (_weld_scenes, _write_welding),

@@ -5,7 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from matplotlib.figure import Figure
+from grindvision.extras import extra
+
+with extra("plot"):
+    from matplotlib.figure import Figure
+
 
 GOOD, LOOK = "#D8EFE3", "#FCE8B8"
 WIDTH = 118

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
+from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid
 from grindvision.motion.robot import Robot
+
+with extra("robot"):
+    import coal
+    import pinocchio as pin
 
 Floats = NDArray[np.float64]
 

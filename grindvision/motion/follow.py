@@ -5,16 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
-from pink import Configuration, solve_ik
-from pink.limits import ConfigurationLimit, VelocityLimit
-from pink.tasks import FrameTask
 
 from grindvision.errors import InputError, UnreachableError
+from grindvision.extras import extra
 from grindvision.geometry import vector_angle
 from grindvision.motion.robot import TOOL_FRAME, Robot
 from grindvision.motion.trajectory import Trajectory
+
+with extra("robot"):
+    import pinocchio as pin
+    from pink import Configuration, solve_ik
+    from pink.limits import ConfigurationLimit, VelocityLimit
+    from pink.tasks import FrameTask
 
 Floats = NDArray[np.float64]
 

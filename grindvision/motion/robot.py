@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
-import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm import MdhArm
-from grindvision.arm.model import in_millimetres, pinocchio_model
-from grindvision.arm.urdf import mesh_files, urdf_model
+from grindvision.arm.model import in_millimetres, pinocchio_model, urdf_model
+from grindvision.arm.urdf import mesh_files, urdf_skeleton
+from grindvision.data_files import data_folder
 from grindvision.errors import FileError, InputError
+from grindvision.extras import extra
 from grindvision.geometry import check_rigid, rigid
 from grindvision.motion.tool import Tool
+
+with extra("robot"):
+    import coal
+    import pinocchio as pin
 
 Floats = NDArray[np.float64]
 
@@ -101,22 +104,8 @@ class Robot:
 
 
 def ur3(tool: Tool) -> Robot:
-    """The UR3 of the ``example-robot-data`` wheel, its base the URDF's ``base_link``.
-
-    Raises:
-        FileError: the wheel is not installed.
-    """
-    name = "ur3_robot.urdf"
-    try:
-        wheel = metadata.distribution("example-robot-data")
-    except metadata.PackageNotFoundError:
-        raise FileError(
-            f"{name}: the package example-robot-data is not installed; pip install example-robot-data"
-        ) from None
-    path = next((Path(str(wheel.locate_file(file))) for file in wheel.files or () if file.name == name), None)
-    if path is None:
-        raise FileError(f"{name} is not in the installed example-robot-data {wheel.version}; install version 6")
-    return urdf_robot(path, tool, flange="tool0", controller="base", package_folder=path.parents[4])
+    """The UR3 of ``data/robots/ur3``, its base the URDF's ``base_link``."""
+    return urdf_robot(data_folder() / "robots" / "ur3" / "ur3.urdf", tool, flange="tool0", controller="base")
 
 
 def urdf_robot(
@@ -158,7 +147,9 @@ def urdf_robot(
         if not place.resolve().is_relative_to(folder.resolve()):
             raise FileError(f"{path}: mesh {name} is not looked for outside {folder}; put the meshes beside the file")
     try:
-        meshes = pin.buildGeomFromUrdf(metres, str(path), pin.GeometryType.COLLISION, package_dirs=str(folder))
+        meshes = pin.buildGeomFromUrdfString(
+            metres, urdf_skeleton(path), pin.GeometryType.COLLISION, package_dirs=str(folder)
+        )
     except (ValueError, RuntimeError) as error:
         raise FileError(
             f"{path}: collision meshes not found under {folder} ({_line(error)}); put them there or give package_folder"

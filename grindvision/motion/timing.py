@@ -6,14 +6,17 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-import toppra
 from numpy.typing import NDArray
-from toppra.algorithm import TOPPRA
-from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from grindvision.errors import DegenerateError, InputError
+from grindvision.extras import extra
 from grindvision.motion.follow import JointPath
 from grindvision.motion.robot import JointLimits
+
+with extra("robot"):
+    import toppra
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 Floats = NDArray[np.float64]
 

@@ -1,8 +1,8 @@
 """What the papers print: tables, transforms, expected values with tolerances."""
 
+from grindvision.data_files import data_folder
 from grindvision.paper.printed import (
     TABLES,
-    data_folder,
     expected,
     hand_eye,
     headline,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from grindvision.data_files import data_folder
 from grindvision.errors import FileError, InputError
 from grindvision.files import read_table
 from grindvision.geometry import orthonormalised, rigid
@@ -27,20 +25,6 @@ TABLES = {
     "peng2020_table1": ("workpiece", ("points", "runtime_s")),
     "peng2020_table2": ("workpiece", (*(f"test{i}_percent" for i in range(1, 6)), "mean_percent")),
 }
-
-
-def data_folder() -> Path:
-    """Folder ``data`` of the checkout, or the folder that the environment variable ``GRINDVISION_DATA`` names.
-
-    Raises:
-        FileError: there is none; the book needs a checkout, not only the installed package.
-    """
-    folder = Path(os.environ.get("GRINDVISION_DATA") or Path(__file__).resolve().parents[2] / "data")
-    if not folder.is_dir():
-        raise FileError(
-            f"{folder}: no such folder; the printed data come with a checkout of the book, run it from there"
-        )
-    return folder
 
 
 def table(name: str) -> pd.DataFrame:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
+from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid, fit_rigid, move_points, skew
 
 Floats = NDArray[np.float64]
@@ -121,8 +122,13 @@ def icp_generalised(
     neighbours: int = 20,
     threads: int = 1,
 ) -> FineRegistration:
-    """Generalised ICP (plane to plane) by small_gicp; ``rms_mm`` is the root mean squared Mahalanobis distance."""
-    import small_gicp
+    """Generalised ICP (plane to plane) by small_gicp; ``rms_mm`` is the root mean squared Mahalanobis distance.
+
+    Raises:
+        MissingExtraError: small_gicp is not installed.
+    """
+    with extra("gicp"):
+        import small_gicp
 
     source, target = check_points(source, "source points", 12), check_points(target, "target points", 12)
     transform = np.eye(4) if T_start is None else check_rigid(T_start, "T_start")
