@@ -129,7 +129,7 @@ def usable_rows(cloud: Cloud, name: str) -> tuple[NDArray[np.bool_], tuple[NDArr
         GrindvisionWarning: rows hold NaN or infinity; more than a few are copies.
     """
     everything = np.isfinite(cloud.points).all()  # the usual case, told many times faster than row by row
-    rows = np.ones(len(cloud), dtype=bool) if everything else np.isfinite(cloud.points).all(axis=1)
+    rows = np.asarray(np.isfinite(cloud.points).all(axis=1)) | everything
     if not rows.any():
         raise FileError(f"{name}: all {len(cloud)} points hold NaN or infinity; scan again or export again")
     if not rows.all():
@@ -206,9 +206,9 @@ def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = N
 
 def _bounds(points: ArrayLike) -> tuple[Floats, Floats]:
     """Lowest and highest x, y, z of the finite points; zeros where there are none."""
-    points = np.asarray(points, dtype=float)
-    if not np.isfinite(points).all():
-        points = points[np.isfinite(points).all(axis=1)]
-    if len(points) == 0:
+    finite = np.asarray(points, dtype=float)
+    if not np.isfinite(finite).all():
+        finite = finite[np.isfinite(finite).all(axis=1)]
+    if len(finite) == 0:
         return np.zeros(3), np.zeros(3)
-    return np.array([column.min() for column in points.T]), np.array([column.max() for column in points.T])
+    return np.array([column.min() for column in finite.T]), np.array([column.max() for column in finite.T])

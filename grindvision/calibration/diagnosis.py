@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from grindvision.calibration.model import ScannerOnArm, entry_name
 from grindvision.calibration.starts import closed_form_error, median_error
 from grindvision.errors import DegenerateError, GrindvisionError, InputError, UnitError
 
+Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Change = Callable[[Measurements], Measurements]
 
@@ -142,10 +145,13 @@ def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: Scan
         except GrindvisionError:
             return np.inf
 
-    found = [(left(changed), reason, kind, "columns") for reason, kind, changed in _explanations(measurements)]
+    found: list[tuple[float, str, type[GrindvisionError], str]] = [
+        (left(changed), reason, kind, "columns") for reason, kind, changed in _explanations(measurements)
+    ]
     standard = left(lambda m: m, _from_standard(coarse.arm))
     reason = "the robot table is a standard DH table: move alpha and a one row down, with 0 in the first row"
-    least, reason, kind, what = min([*found, (standard, reason, InputError, "table")], key=lambda one: one[0])
+    found.append((standard, reason, InputError, "table"))
+    least, reason, kind, what = min(found, key=lambda one: one[0])
     if least < 0.2 * as_given:
         raise kind(
             f"{reason}: then the nominal arm leaves {least:.2f} mm instead of {as_given:.1f} mm; mend the {what}"
@@ -198,12 +204,20 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
             )
 
 
+def _changing(column: str, change: Callable[[Floats], Floats]) -> Change:
+    def changed(measurements: Measurements) -> Measurements:
+        changes: dict[str, Any] = {column: change(getattr(measurements, column))}
+        return replace(measurements, **changes)
+
+    return changed
+
+
 def _shifts(measurements: Measurements) -> list[tuple[str, Change]]:
     columns = [("tracker_mm", "tracker readings"), ("q_rad", "joint angles"), ("scanner_mm", "scans")]
     return [
         (
             f"the rows of {what} are shifted by {shift} against the other columns",
-            lambda m, column=column, shift=shift: replace(m, **{column: np.roll(getattr(m, column), -shift, axis=0)}),
+            _changing(column, partial(np.roll, shift=-shift, axis=0)),
         )
         for column, what in columns[: 2 if measurements.on_tool else 3]
         for shift in (1, -1)
@@ -222,7 +236,7 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
             (
                 f"columns q{one + 1} and q{other + 1} are swapped",
                 InputError,
-                lambda m, order=order: replace(m, q_rad=m.q_rad[:, order]),
+                _changing("q_rad", partial(np.take, indices=order, axis=1)),
             )
         )
     for joint in range(joints):
@@ -234,9 +248,7 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
                 (
                     f"column q{joint + 1}_rad {reason}",
                     kind,
-                    lambda m, joint=joint, factor=factor: replace(
-                        m, q_rad=m.q_rad * np.where(np.arange(m.q_rad.shape[1]) == joint, factor, 1.0)
-                    ),
+                    _changing("q_rad", partial(np.multiply, np.where(np.arange(joints) == joint, factor, 1.0))),
                 )
             )
     for column, name in (("tracker_mm", "b"), ("scanner_mm", "s"))[: 1 if measurements.on_tool else 2]:
@@ -244,7 +256,7 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
             (
                 f"columns {name}x_mm to {name}z_mm are mirrored (two swapped, or one with the wrong sign)",
                 InputError,
-                lambda m, column=column: replace(m, **{column: getattr(m, column) * [1.0, -1.0, 1.0]}),
+                _changing(column, partial(np.multiply, [1.0, -1.0, 1.0])),
             )
         )
         for axes in ([0], [1], [2], [0, 1, 2]):
@@ -252,9 +264,7 @@ def _explanations(measurements: Measurements) -> list[tuple[str, type[Grindvisio
                 (
                     f"{', '.join(name + 'xyz'[axis] + '_mm' for axis in axes)} in metres, by the look of it",
                     UnitError,
-                    lambda m, column=column, axes=axes: replace(
-                        m, **{column: getattr(m, column) * np.where(np.isin(np.arange(3), axes), 1000.0, 1.0)}
-                    ),
+                    _changing(column, partial(np.multiply, np.where(np.isin(np.arange(3), axes), 1000.0, 1.0))),
                 )
             )
     return found

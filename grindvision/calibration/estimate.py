@@ -206,11 +206,11 @@ def estimate_spreads(
 
 def _triangle(points: CarriedPoints, unknowns: Unknowns, to_unit: Floats, goal: Floats, units: Floats) -> Floats:
     """Triangle of the QR decomposition of whitened slopes (3 M, K), in ``units``, and their goal (M, 3) behind them."""
-    triangle = np.empty((0, len(unknowns) + 1))
+    triangle: Floats = np.empty((0, len(unknowns) + 1))
     for rows, part in points.blocks():
         design = (to_unit[rows] @ part.design(unknowns)).reshape(-1, len(unknowns)) * units
         block = np.column_stack([design, goal[rows].ravel()])
-        triangle = np.linalg.qr(np.vstack([triangle, block]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, block]), mode="r"))
     return triangle
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,9 +42,9 @@ class Measurements:
     q_rad: Floats
     scanner_mm: Floats
     tracker_mm: Floats
-    pose: NDArray[np.str_] = field(default=None)  # type: ignore[assignment]
-    sphere: NDArray[np.str_] = field(default=None)  # type: ignore[assignment]
-    train: Flags = field(default=None)  # type: ignore[assignment]
+    pose: NDArray[np.str_] = field(default=None)  # type: ignore[arg-type]  # filled below
+    sphere: NDArray[np.str_] = field(default=None)  # type: ignore[arg-type]
+    train: Flags = field(default=None)  # type: ignore[arg-type]
     scanner_covariance_mm2: Floats | None = None
     tracker_std_mm: float = 0.0
 
@@ -63,7 +64,7 @@ class Measurements:
             if value is None and default is None:
                 continue
             kind = {"pose": str, "sphere": str, "train": bool}.get(name, float)
-            array = np.array(default if value is None else value, dtype=kind)
+            array: NDArray[Any] = np.array(default if value is None else value, dtype=kind)
             if array.ndim != len(shape) or any(
                 want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)
             ):
@@ -90,7 +91,7 @@ class Measurements:
 
     def rows(self, chosen: ArrayLike) -> Measurements:
         """Return the rows marked or numbered by ``chosen``."""
-        covariance = self.scanner_covariance_mm2
+        chosen, covariance = np.asarray(chosen), self.scanner_covariance_mm2
         return replace(
             self,
             **{name: getattr(self, name)[chosen] for name in ("q_rad", "scanner_mm", "tracker_mm")},
@@ -182,7 +183,7 @@ def read_measurements(
         table[measured].to_numpy(dtype=float),
         pose=pose,
         sphere=labels.get("sphere", pose),
-        train=_train_rows(path, labels["split"]) if "split" in labels else None,
+        train=_train_rows(path, labels["split"]) if "split" in labels else np.ones(len(table), dtype=bool),
         scanner_covariance_mm2=(
             None if covariance is None else covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         ),

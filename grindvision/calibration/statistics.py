@@ -31,7 +31,7 @@ def error_statistics(residuals_mm: ArrayLike) -> ErrorStatistics:
         return ErrorStatistics(np.nan, np.nan, np.nan, np.nan, 0)
     lengths = np.linalg.norm(residuals, axis=1)
     rms = np.sqrt((lengths**2).mean())
-    return ErrorStatistics(*(float(v) for v in (lengths.mean(), rms, lengths.max(), lengths.std())), len(lengths))
+    return ErrorStatistics(float(lengths.mean()), float(rms), float(lengths.max()), float(lengths.std()), len(lengths))
 
 
 def whitening(covariances_mm2: ArrayLike) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ class PrintedPath:
         """Ridge (K, 3) through the printed points, ``OVERHANG_MM`` longer at both ends, and unit normals (K, 3)."""
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1))])
         ends = s[[0, -1]] + np.array([-OVERHANG_MM, OVERHANG_MM])
-        at = np.linspace(*ends, int(np.ceil(np.ptp(ends) / STATION_MM)) + 1)
+        at = np.linspace(ends[0], ends[1], int(np.ceil(np.ptp(ends) / STATION_MM)) + 1)
         inside = np.clip(at, s[0], s[-1])
         spline = CubicSpline(s, self.points_mm, bc_type="natural")
         ridge = spline(inside) + (at - inside)[:, None] * spline(inside, 1)

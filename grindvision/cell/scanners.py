@@ -148,10 +148,8 @@ class Scanner:
         kept = np.flatnonzero(~lost)
         if len(kept) == 0:
             raise SightError("the scanner sees nothing: all points lie in shadow or at grazing angles; turn it")
-        pixels, true_points, surface_id, normals = (
-            values.take(kept, axis=0)
-            for values in (sighting.pixels, sighting.points, sighting.surface_id, sighting.normals)
-        )
+        pixels, surface_id = sighting.pixels[kept], sighting.surface_id[kept]
+        true_points, normals = sighting.points[kept], sighting.normals[kept]
         z = true_points[:, 2].copy()
         if errors.mixed_pixels:
             mixed = self._mix(z, pixels, sighting.grid_shape, rng)

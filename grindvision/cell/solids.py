@@ -104,7 +104,8 @@ class Shape:
         """Return the finished mesh with the surface of every triangle."""
         mesh = self.body.to_mesh64()
         triangles = np.asarray(mesh.tri_verts, dtype=np.int64)
-        runs = np.diff(np.asarray(mesh.run_index, dtype=np.int64)) // 3
+        ends = np.asarray(mesh.run_index, dtype=np.int64)
+        runs = (ends[1:] - ends[:-1]) // 3
         names = [self.names[int(origin)] for origin in mesh.run_original_id]
         surfaces = tuple(dict.fromkeys(names))
         surface_id = np.repeat([surfaces.index(name) for name in names], runs)

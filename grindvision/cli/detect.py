@@ -94,11 +94,11 @@ def run(options: argparse.Namespace) -> int:
         paths = (options.sample, options.test)
         with work.stage("read"):
             clouds = read_scans(paths, options.unit)
-            scans = [finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True)]
+            sample, test = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
             if field is not None:
-                scans = _corrected_pair(field, options, clouds, scans)
+                sample, test = _corrected_pair(field, options, clouds, [sample, test])
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
-        found = detect(*scans, settings, work.finished)
+        found = detect(sample, test, settings, work.finished)
         with work.stage("write"):
             write_text(work.place / "path.csv", rows_text(PATH_COLUMNS, found.path_points, found.path_normals))
             if T_base_scanner is not None:

@@ -86,8 +86,10 @@ def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
     limit = max(4 * difference.level_of_detection_mm, *(cluster.peak_mm for cluster in difference.clusters), 0)
     shown = np.isfinite(difference.signed_mm)
     axes.plot(*view(difference.surfels[~shown]).T, ".", ms=1.6, mew=0, color=GREY)
+    across, up = view(difference.surfels[shown]).T
     colours = axes.scatter(
-        *view(difference.surfels[shown]).T,
+        across,
+        up,
         c=difference.signed_mm[shown],
         s=1,
         lw=0,

@@ -93,19 +93,26 @@ def _words(path: Path, name: str, value: Any, action: argparse.Action) -> list[s
             raise InputError(f"{path}: {name} is {_shown(value)}; write true or false")
         return [option] if value else []
     values = value if isinstance(value, list) else [value]
-    fits = {None: len(values) == 1, "+": len(values) > 0}.get(action.nargs, len(values) == action.nargs)
+    if action.nargs in (None, "+"):
+        fits = len(values) == 1 if action.nargs is None else len(values) > 0
+    else:
+        fits = len(values) == action.nargs
     if not fits:
         raise InputError(f"{path}: {name} is {_shown(value)}; give {action.nargs or 1} value(s)")
+    kind: tuple[type, ...] = (str,)
+    wanted = "a text in quotes"
+    if action.type is number:
+        kind, wanted = (int, float), "a number"
+    elif action.type is whole:
+        kind, wanted = (int,), "a whole number"
+    convert = action.type if callable(action.type) else str
     for one in values:
-        kind, wanted = {number: ((int, float), "a number"), whole: (int, "a whole number")}.get(
-            action.type, (str, "a text in quotes")
-        )
         if not isinstance(one, kind) or isinstance(one, bool):
             raise InputError(f"{path}: {name} is {_shown(value)}; write {wanted}")
         if action.choices is not None and one not in action.choices:
             raise InputError(f"{path}: {name} is {_shown(value)}; choose from {', '.join(map(str, action.choices))}")
         try:
-            (action.type or str)(str(one))
+            convert(str(one))
         except (argparse.ArgumentTypeError, ValueError):
             raise InputError(f"{path}: {name} is {_shown(value)}; write {wanted}") from None
     texts = [_without_exponent(str(one)) for one in values]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,11 +51,12 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.pictures import drawing
 
     draw = drawing("simulate_picture")
-    make, write = {
+    subjects: dict[str, tuple[Callable[[np.random.Generator], Any], Callable[..., None]]] = {
         "grinding": (_grinding_scene, _write_grinding),
         "welding": (_weld_scenes, _write_welding),
         "calibration": (_calibration_experiment, _write_calibration),
-    }[options.subject]
+    }
+    make, write = subjects[options.subject]
     with Run(options, (), ("numpy", "scipy", "matplotlib"), 4) as work:
         with work.stage("simulate"):
             made = make(np.random.default_rng(options.seed))

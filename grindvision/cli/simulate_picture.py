@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +28,12 @@ def draw(made: Any, subject: str, seed: int, path: Path) -> None:
     panels, size = {"grinding": (2, (11, 5)), "welding": (4, (11, 9.5)), "calibration": (2, (11, 5.5))}[subject]
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(2 if panels == 4 else 1, 2).ravel()
-    facts = {"grinding": _draw_grinding, "welding": _draw_welding, "calibration": _draw_calibration}[subject](
-        axes, made
-    )
+    draw_subject: dict[str, Callable[..., str]] = {
+        "grinding": _draw_grinding,
+        "welding": _draw_welding,
+        "calibration": _draw_calibration,
+    }
+    facts = draw_subject[subject](axes, made)
     draw_verdict(figure, f"Simulated: {subject}, seed {seed}. Synthetic, nothing here was measured", facts, ())
     with write_whole(path) as temporary:
         figure.savefig(temporary, dpi=100)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from typing import Any
 
 STUDIES = {
     "compound": "robot cells that find one path from four orientations (chapter 08)",
@@ -32,14 +34,15 @@ def run(options: argparse.Namespace) -> int:
             f"cases {options.cases}, seed {options.seed}, jobs {options.jobs}: give at least 1, 0, 1 (or -1)"
         )
     if options.study == "compound":
-        from grindvision_book.compound import compound_case as measure
+        from grindvision_book.compound import compound_case
 
+        measure: Callable[..., dict[str, Any]] = compound_case
         cases = pd.DataFrame({"stream": range(options.cases)})
     else:
         from grindvision_book.designs import space_filling
-        from grindvision_book.limits import RANGES
-        from grindvision_book.limits import path_case as measure
+        from grindvision_book.limits import RANGES, path_case
 
+        measure = path_case
         cases = space_filling(RANGES, options.cases, options.seed)
     rows = run_study(measure, cases, options.seed, options.output, options.scheduler, options.jobs)
     failed = int((rows["error"] != "").sum())

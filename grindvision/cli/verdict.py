@@ -27,7 +27,7 @@ def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[st
         lines.append(f"and {len(warnings) - most} more in report.json")
     height = 0.42 + 0.19 * len(lines)
     share = height / figure.get_figheight()
-    figure.get_layout_engine().set(rect=(0, 0, 1, 1 - share))
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - share))
     band = figure.add_axes((0, 1 - share, 1, share), zorder=-1)
     band.set_in_layout(False)
     band.set_facecolor(LOOK if warnings else GOOD)

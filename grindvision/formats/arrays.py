@@ -7,7 +7,7 @@ import tokenize
 import zipfile
 import zlib
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -67,7 +67,7 @@ def read_npz(path: Path) -> Content:
         raise _no_array(path, error) from None
 
 
-def _announced_bytes(path: Path, file: BinaryIO) -> int:
+def _announced_bytes(path: Path, file: IO[bytes]) -> int:
     """Size of the array that a .npy header announces; leaves the file behind the header."""
     try:
         version = npy.read_magic(file)

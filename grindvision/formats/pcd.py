@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import FileError
-from grindvision.formats.content import Content, chosen_columns
+from grindvision.formats.content import Content, Floats, chosen_columns
 from grindvision.formats.records import (
     bytes_left,
     content_of_records,
@@ -112,10 +113,11 @@ def _compressed(path: Path, file: BinaryIO, header: _Header) -> Content:
     point, normal = chosen_columns(header.names)
     if point is None:
         raise FileError(f"{path}: points need x y z; found {' '.join(header.names)}")
-    tables = [
-        None if at is None else np.stack([columns[k] for k in at], axis=1).astype(float) for at in (point, normal)
-    ]
-    return Content(tables[0], tables[1])
+
+    def table(chosen: Sequence[int]) -> Floats:
+        return np.stack([columns[k] for k in chosen], axis=1).astype(float)
+
+    return Content(table(point), None if normal is None else table(normal))
 
 
 @njit(cache=True)
@@ -124,7 +126,7 @@ def unpack_lzf(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     out = np.empty(size, np.uint8)
     at, filled = 0, 0
     while at < len(packed):
-        control = np.int64(packed[at])
+        control: Any = np.int64(packed[at])
         at += 1
         if control < 32:
             length = control + 1

@@ -79,8 +79,8 @@ def content_of_rows(path: Path, rows: Floats, names: Sequence[str]) -> Content:
         raise FileError(f"{path}: points need x y z; found {rows.shape[1]} columns {' '.join(names)}")
     if rows.shape[1] < len(names):
         raise FileError(f"{path}: rows have {rows.shape[1]} columns, the header names {len(names)}; export it again")
-    picked = [None if at is None else np.ascontiguousarray(rows[:, at]) for at in (point, normal)]
-    return Content(picked[0], picked[1])
+    normals = None if normal is None else np.ascontiguousarray(rows[:, normal])
+    return Content(np.ascontiguousarray(rows[:, point]), normals)
 
 
 def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[str], kinds: Sequence[str]) -> Content:
@@ -96,13 +96,15 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
     point, normal = chosen_columns(names)
     if point is None:
         raise FileError(f"{path}: points need x y z; found {' '.join(names)}")
-    tables = {tuple(at): np.empty((count, len(at))) for at in (point, normal) if at is not None}
+    points = np.empty((count, len(point)))
+    normals = None if normal is None else np.empty((count, len(normal)))
     for start in range(0, count, RECORDS_AT_ONCE):
         rows = np.fromfile(file, dtype=record, count=min(RECORDS_AT_ONCE, count - start))
-        for columns, table in tables.items():
-            for k, at in enumerate(columns):
-                table[start : start + len(rows), k] = rows[f"{at}"]
-    return Content(*tables.values())
+        for columns, table in ((point, points), (normal, normals)):
+            if columns is not None and table is not None:
+                for k, at in enumerate(columns):
+                    table[start : start + len(rows), k] = rows[f"{at}"]
+    return Content(points, normals)
 
 
 def bytes_left(path: Path, file: BinaryIO) -> int:

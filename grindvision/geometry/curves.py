@@ -44,18 +44,20 @@ class Curve:
 
     def smooth(self, vectors: ArrayLike, arc: ArrayLike) -> Floats:
         """Unit vectors (K, 3) interpolated between those (M, 3) that belong to the places."""
-        vectors = np.vstack([vectors, vectors[:1]]) if self.closed else np.asarray(vectors)
-        found = np.column_stack([np.interp(arc, self.arc, vectors[: len(self.arc), k]) for k in range(3)])
+        given, arc = np.asarray(vectors, dtype=float), np.asarray(arc, dtype=float)
+        ends = np.vstack([given, given[:1]]) if self.closed else given
+        found = np.column_stack([np.interp(arc, self.arc, ends[: len(self.arc), k]) for k in range(3)])
         return found / np.linalg.norm(found, axis=1, keepdims=True)
 
     def arc_of(self, points: ArrayLike) -> Floats:
         """Arc lengths (K,) of the places on the curve nearest to points (K, 3); beyond the ends it runs on straight."""
+        points = np.asarray(points, dtype=float)
         fine = np.linspace(0, self.length_mm, max(int(len(self.places) * 8), 50))
         places = self.at(fine)
         extent = float(np.linalg.norm(np.ptp(np.concatenate([places, points]), axis=0)))
         near, _ = nearest(build_cells(places, extent / 20), points, 2 * extent)
         along = ((points - places[near]) * self.tangents(fine)[near]).sum(axis=1)
-        return fine[near] + along
+        return fine[near] + np.asarray(along)
 
     def distances(self, points: ArrayLike) -> Floats:
         """Distances (K,) in mm of points (K, 3) from the curve; beyond its ends, from the ends."""
@@ -87,4 +89,4 @@ def _second_derivatives(steps: Floats, slopes: Floats, closed: bool) -> Floats:
         right[at] = 6 * (slopes[at] - slopes[before])
     if closed:
         matrix[count, 0] = -1.0
-    return np.linalg.solve(matrix, right)
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float)

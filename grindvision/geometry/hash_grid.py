@@ -74,7 +74,7 @@ def cell_origin(points: Floats, size_mm: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def bounds(points):
+def bounds(points: Floats) -> tuple[Floats, Floats]:
     """Lowest and highest coordinates (3,), (3,) of points (N, 3)."""
     x = x_low = points[0, 0]
     y = y_low = points[0, 1]
@@ -86,13 +86,13 @@ def bounds(points):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def cell_key(i, j, k):
+def cell_key(i: int, j: int, k: int) -> np.int64:
     """Pack three non-negative cell coordinates into one key."""
     return (np.int64(i) << 42) | (np.int64(j) << 21) | np.int64(k)
 
 
 @njit(cache=True, nogil=True)
-def find_slot(table_keys, key):
+def find_slot(table_keys: Integers, key: np.int64) -> np.int64:
     """Slot of ``key`` in the open-addressed table, or the free slot where it belongs.
 
     Eight cells in a row along z begin their search in one line of the processor's cache.
@@ -105,7 +105,7 @@ def find_slot(table_keys, key):
 
 
 @njit(cache=True, nogil=True)
-def grown_table(keys, count, size):
+def grown_table(keys: Integers, count: int, size: int) -> tuple[Integers, NDArray[np.int32]]:
     """Fresh table of ``size`` slots (a power of two) holding the first ``count`` keys."""
     table_keys = np.full(size, _EMPTY, dtype=np.int64)
     table_cells = np.empty(size, dtype=np.int32)
@@ -117,7 +117,9 @@ def grown_table(keys, count, size):
 
 
 @njit(cache=True, nogil=True)
-def assign_cells(points, origin, per_mm):
+def assign_cells(
+    points: Floats, origin: Floats, per_mm: float
+) -> tuple[NDArray[np.int32], Integers, Integers, NDArray[np.int32]]:
     """Cell number of each point, keys of the cells in order of first appearance, and the table."""
     cell_of_point = np.empty(len(points), dtype=np.int32)
     keys = np.empty(2048, dtype=np.int64)
@@ -134,7 +136,17 @@ def assign_cells(points, origin, per_mm):
 
 
 @njit(cache=True, nogil=True)
-def _enter(points, first, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point):
+def _enter(
+    points: Floats,
+    first: int,
+    origin: Floats,
+    per_mm: float,
+    keys: Integers,
+    count: int,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    cell_of_point: NDArray[np.int32],
+) -> tuple[int, int]:
     """Number the cells of points from ``first`` on, while there is room for keys: where it stopped, and how many.
 
     Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round. Neighbours
@@ -161,7 +173,7 @@ def _enter(points, first, origin, per_mm, keys, count, table_keys, table_cells, 
 
 
 @njit(cache=True, nogil=True)
-def _sorted_by_cell(cell_of_point, cells):
+def _sorted_by_cell(cell_of_point: NDArray[np.int32], cells: int) -> tuple[Integers, Integers]:
     starts = np.zeros(cells + 1, dtype=np.int64)
     for cell in cell_of_point:
         starts[cell + 1] += 1

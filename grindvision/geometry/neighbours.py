@@ -68,7 +68,19 @@ def within_radius(
 
 
 @njit(cache=True, nogil=True)
-def nearest_one(x, y, z, max_mm, points, order, starts, table_keys, table_cells, origin, per_mm):
+def nearest_one(
+    x: float,
+    y: float,
+    z: float,
+    max_mm: float,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+) -> tuple[int, float]:
     """Index and squared distance of the grid point nearest to (x, y, z) within ``max_mm``; -1 where there is none."""
     cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
     i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
@@ -107,7 +119,7 @@ def nearest_one(x, y, z, max_mm, points, order, starts, table_keys, table_cells,
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _gap(place, cell):
+def _gap(place: float, cell: int) -> float:
     """Squared distance, in cells, of a place on an axis from a cell that does not hold it; 0 from the one that does."""
     away = max(cell - place, place - cell - 1, 0.0)
     return away * away
@@ -115,8 +127,18 @@ def _gap(place, cell):
 
 @njit(cache=True, nogil=True)
 def _nearest_all(
-    queries, max_mm, points, order, starts, table_keys, table_cells, origin, per_mm, indices, distances
-):  # fmt: skip
+    queries: Floats,
+    max_mm: float,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    indices: Integers,
+    distances: Floats,
+) -> None:
     for q in range(len(queries)):
         best, squared = nearest_one(
             queries[q, 0], queries[q, 1], queries[q, 2], max_mm, points, order, starts, table_keys, table_cells,
@@ -127,7 +149,18 @@ def _nearest_all(
 
 
 @njit(cache=True, nogil=True)
-def _within_all(queries, radius, max_neighbours, points, order, starts, table_keys, table_cells, origin, per_mm):
+def _within_all(
+    queries: Floats,
+    radius: float,
+    max_neighbours: int,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+) -> tuple[Integers, Integers, Floats]:
     first = np.zeros(len(queries) + 1, dtype=np.int64)
     # generous: memory that is not written to is not taken
     indices = np.empty(128 * len(queries) + 64, dtype=np.int64)
@@ -154,8 +187,19 @@ def _within_all(queries, radius, max_neighbours, points, order, starts, table_ke
 
 @njit(cache=True, nogil=True)
 def _within_one(
-    query, radius, used, indices, squares, points, order, starts, table_keys, table_cells, origin, per_mm
-):  # fmt: skip
+    query: Floats,
+    radius: float,
+    used: int,
+    indices: Integers,
+    squares: Floats,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+) -> int:
     """Append the neighbours of one query from place ``used`` on: the place behind the last; -1 when there is no room.
 
     Arrays that grow are replaced outside, as in ``_enter``.

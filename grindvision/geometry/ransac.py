@@ -73,7 +73,7 @@ def _consensus(
         flags = near(drawn, scored, threshold_mm)
         if flags is None:
             continue
-        count = np.count_nonzero(flags)
+        count = int(np.count_nonzero(flags))
         if count > best:
             best, best_drawn = count, drawn
         if best and (1 - (best / len(scored)) ** n_drawn) ** trial < 1e-6:

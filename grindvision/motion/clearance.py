@@ -63,7 +63,7 @@ def box(name: str, size_mm: ArrayLike, T_base_box: ArrayLike) -> Obstacle:
     """A box with edges ``size_mm`` (3,) about the origin of its frame."""
     size = np.asarray(size_mm, dtype=float)
     if size.shape != (3,) or not (size > 0).all():
-        raise InputError(f"the box {name} needs three edges above 0 mm, got {size_mm}")
+        raise InputError(f"the box {name} needs three edges above 0 mm, got {size.tolist()}")
     return Obstacle(name, coal.Box(*size), check_rigid(T_base_box, "T_base_box"))
 
 

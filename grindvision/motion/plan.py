@@ -82,12 +82,13 @@ def plan_motion(
         raise complaints[0]
     the_table = table(table_top_mm)
     followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).least_mm // 10), _travel(one[1])))
-    tightest: Clearance | None = None
+    blocked: list[Clearance] = []
     for path, q in followed:
         free = measure_clearance(robot, q, [the_table, *obstacles])
         if free.least_mm >= least_clearance_mm:
             return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, tool_speed_mm_s))
-        tightest = max(tightest or free, free, key=lambda one: one.least_mm)
+        blocked.append(free)
+    tightest = max(blocked, key=lambda one: one.least_mm)
     first, second = tightest.nearest[tightest.tightest]
     where = min(max(tightest.tightest - 1, 0), len(trajectory.T_base_tool) - 1)
     raise CollisionError(

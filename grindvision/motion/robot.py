@@ -205,8 +205,8 @@ def _with_tool(
     hand = frame.parentJoint
     model.addFrame(pin.Frame(TOOL_FRAME, hand, frame.placement * pin.SE3(tool.T_flange_tool), pin.FrameType.OP_FRAME))
     for number, (start, end, radius_mm) in enumerate(tool.capsules, 1):
-        ends = [frame.placement.act(np.asarray(point, dtype=float)) for point in (start, end)]
-        bodies.addGeometryObject(_capsule(f"{tool.name} {number}", hand, *ends, radius_mm))
+        start, end = (frame.placement.act(np.asarray(point, dtype=float)) for point in (start, end))
+        bodies.addGeometryObject(_capsule(f"{tool.name} {number}", hand, start, end, radius_mm))
     for pair in _pairs_that_can_part(model, bodies):
         bodies.addCollisionPair(pair)
     return Robot(name, model, bodies, tool, limits, check_rigid(T_controller_base, "T_controller_base"))

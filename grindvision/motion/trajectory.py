@@ -80,7 +80,7 @@ class Trajectory:
         poses, arc = self.T_base_tool_worked, self.arc_mm
         turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).magnitude()
         pieces = np.ceil(np.maximum(np.maximum(np.diff(arc) / step_mm, turns / step_rad), 1)).astype(int)
-        inner = [np.linspace(*arc[i : i + 2], count, endpoint=False) for i, count in enumerate(pieces)]
+        inner = [np.linspace(arc[i], arc[i + 1], count, endpoint=False) for i, count in enumerate(pieces)]
         at = np.concatenate([*inner, [] if self.closed else arc[-1:]])
         fine = np.zeros((len(at), 4, 4))
         fine[:, :3, :3] = RotationSpline(arc, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
@@ -153,7 +153,7 @@ def tool_trajectory(
 def _tangents(points: Floats, closed: bool) -> Floats:
     """Unit tangents (N, 3) of the parabola through each way point and its two neighbours."""
     line = np.concatenate([points[-1:], points, points[:1]]) if closed else points
-    slopes = np.gradient(line, _arc(line), axis=0, edge_order=min(2, len(line) - 1))
+    slopes = np.gradient(line, _arc(line), axis=0, edge_order=1 if len(line) < 3 else 2)
     return _unit(slopes[1:-1] if closed else slopes, "the seam turns back on itself at way point {}")
 
 

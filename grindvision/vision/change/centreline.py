@@ -62,7 +62,7 @@ def walking_distances(around: Neighbourhoods, start: int) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _walked(starts, indices, lengths, start):
+def _walked(starts: Integers, indices: Integers, lengths: Floats, start: int) -> Floats:
     walked = np.full(len(starts) - 1, np.inf)
     walked[start] = 0.0
     ahead = [(0.0, start)]
@@ -96,8 +96,8 @@ def _ordered(
         members = np.flatnonzero(bands == band)
         piece[members] = number + euclidean_clusters(nodes[members], step_mm)
         number = int(piece[members].max()) + 1
-    places = np.column_stack([np.bincount(piece, weights * nodes[:, k], number) for k in range(3)])
-    places /= np.bincount(piece, weights, number)[:, None]
+    places: Floats = np.column_stack([np.bincount(piece, weights * nodes[:, k], number) for k in range(3)])
+    places = places / np.bincount(piece, weights, number)[:, None]
     amounts = np.bincount(piece, minlength=number)
     links: list[set[int]] = [set() for _ in range(number)]
     pairs = np.unique(np.repeat(piece, np.diff(around.starts)) * number + piece[around.indices])

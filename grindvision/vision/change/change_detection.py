@@ -236,10 +236,12 @@ def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals
 
 
 @njit(cache=True, nogil=True)
-def _points_in_cells(points, flags, table_keys, table_cells, origin, per_mm):
+def _points_in_cells(
+    points: Floats, flags: Flags, table_keys: Integers, table_cells: NDArray[np.int32], origin: Floats, per_mm: float
+) -> Integers:
     found = np.empty(len(points), dtype=np.int64)
     count = 0
-    last, wanted = np.int64(-1), False
+    last, wanted = np.int64(-1), np.bool_(False)
     for p in range(len(points)):
         i = int((points[p, 0] - origin[0]) * per_mm)
         j = int((points[p, 1] - origin[1]) * per_mm)

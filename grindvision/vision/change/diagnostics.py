@@ -167,7 +167,7 @@ def relative_scale(
             return 1.0, np.inf
         scale *= 1 + change[6]
         deviation = float(np.sqrt(block_covariance(places[shown], design, rest, weights, square, across=4)[6, 6]))
-        rotation = rotation_about(change[3:6], np.linalg.norm(change[3:6])) if change[3:6].any() else np.eye(3)
+        rotation = rotation_about(change[3:6], float(np.linalg.norm(change[3:6]))) if change[3:6].any() else np.eye(3)
         places = (1 + change[6]) * (places - centre) @ rotation.T + centre + change[:3]
         if abs(change[6]) < MOST_SCALE / 20:
             break

@@ -54,7 +54,7 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
     corners = points[hull.vertices]
     _, faces = np.unique(np.round(hull.equations[:, :3], 6), axis=0, return_index=True)
     normals = hull.equations[faces, :3]
-    best, least = None, np.inf
+    best, least = np.eye(3), np.inf
     for normal in normals:
         normal = normal / np.linalg.norm(normal)
         across = np.linalg.svd(normal[None])[2][1:]

@@ -63,7 +63,7 @@ def surrounded(good: Surfels, feet: Floats, normals: Floats) -> Flags:
 
 
 @njit(cache=True, nogil=True)
-def _largest_gaps(points, feet, normals, starts, indices):
+def _largest_gaps(points: Floats, feet: Floats, normals: Floats, starts: Integers, indices: Integers) -> Floats:
     """Largest angle (N,) about each foot's normal between successive neighbours."""
     gaps = np.full(len(feet), 2 * np.pi)
     for f in range(len(feet)):

@@ -65,7 +65,7 @@ class FieldCorrection:
         place, last = self._place(points), 3 if self.high[2] > self.low[2] else 2
         low, high = self.low[:last, None], self.high[:last, None]
         slack = 0.01 * (high - low)
-        return ((place[:last] >= low - slack) & (place[:last] <= high + slack)).all(axis=0)
+        return np.asarray(((place[:last] >= low - slack) & (place[:last] <= high + slack)).all(axis=0))
 
     def _place(self, points: ArrayLike) -> Floats:
         points = np.asarray(points, dtype=float)
@@ -219,8 +219,10 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     middle = float(at.mean())
     axes = [start + (np.arange(n) + 0.5) * (end - start) / n for n, start, end in zip(shape, low, high, strict=True)]
     weights = np.minimum(counts / np.median(counts[seen]), 1.0)
+    error, weights = (np.moveaxis(part.reshape(len(at), *shape), 0, 2) for part in (error, weights))
     return _Plates(
-        *(np.moveaxis(part.reshape(len(at), *shape), 0, 2) for part in (error, weights)),
+        error,
+        weights,
         [axes[0] * middle, axes[1] * middle, at],
         normal,
         middle,
@@ -242,7 +244,9 @@ def _without_strays(cloud: Floats, number: int) -> Floats:
     return cloud
 
 
-def _bin_means(slopes: Floats, depths: Floats, low: Floats, high: Floats, shape: Floats) -> tuple[Floats, ...]:
+def _bin_means(
+    slopes: Floats, depths: Floats, low: Floats, high: Floats, shape: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Count (B,), mean ray (B, 3) with z = 1 and mean depth (B,) of the points in each bin of the field."""
     cell = np.minimum((slopes - low) / (high - low) * shape, shape - 1).astype(int)
     flat, bins = cell[:, 0] * shape[1] + cell[:, 1], int(np.prod(shape))
@@ -253,7 +257,9 @@ def _bin_means(slopes: Floats, depths: Floats, low: Floats, high: Floats, shape:
     return counts, np.column_stack([u, v, np.ones(bins)]), z
 
 
-def _parallel_planes(means: Floats, seen: NDArray[np.bool_], steps: Floats, order: Floats) -> tuple[Floats, float]:
+def _parallel_planes(
+    means: Floats, seen: NDArray[np.bool_], steps: Floats, order: NDArray[np.int64]
+) -> tuple[Floats, float]:
     """Common normal (3,), z above 0, and distance in mm at step 0 of plates with bin means (K, B, 3)."""
     normals = []
     for cloud, mask in zip(means, seen, strict=True):
@@ -278,7 +284,7 @@ def _parallel_planes(means: Floats, seen: NDArray[np.bool_], steps: Floats, orde
 
 
 @njit(cache=True, nogil=True)
-def _trilinear(place, grid, low, per_unit):
+def _trilinear(place: Floats, grid: Floats, low: Floats, per_unit: Floats) -> Floats:
     """Values (N,) of a regular grid at places (3, N), those beyond its rim taken to the rim."""
     values = np.empty(place.shape[1])
     cell = np.empty(3, np.int64)

@@ -56,7 +56,7 @@ def measure_step(points: ArrayLike, rng: np.random.Generator, threshold_mm: floa
     if len(rest) < 6:
         raise DegenerateError("there is one face only; a step needs a second one beside it")
     smaller = _face(rest, threshold_mm, rng)
-    tilt = np.degrees(np.arccos(min(1.0, abs(larger.normal @ smaller.normal))))
+    tilt = float(np.degrees(np.arccos(min(1.0, abs(float(larger.normal @ smaller.normal))))))
     if tilt > PARALLEL_DEG:
         raise DegenerateError(
             f"the two largest faces enclose {tilt:.1f} deg; a step's faces are parallel, crop the cloud"

@@ -15,6 +15,7 @@ from grindvision.parallel import parallel_map
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 COS_AGREE = float(np.cos(np.radians(15)))
 """Cosine of the angle up to which two angles of a pair of correspondences agree."""
@@ -104,11 +105,16 @@ def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDAr
 
 def _all_votes(poses: Floats, matches: tuple[Floats, ...], apart: float, similar: int) -> NDArray[np.int64]:
     """``_votes`` of many poses, in two threads."""
-    return np.concatenate(parallel_map(lambda half: _votes(half, *matches, apart, similar), np.array_split(poses, 2)))
+    source, source_normals, target, target_normals = matches
+
+    def votes(half: Floats) -> NDArray[np.int64]:
+        return _votes(half, source, source_normals, target, target_normals, apart, similar)
+
+    return np.concatenate(parallel_map(votes, np.array_split(poses, 2)))
 
 
 @njit(cache=True, nogil=True)
-def _distinct(poses, spots, apart, cosine, kept):
+def _distinct(poses: Floats, spots: Floats, apart: float, cosine: float, kept: int) -> Integers:
     """Indices of the first ``kept`` poses (K, 4, 4) that are near no other; they move a centre to ``spots`` (K, 3)."""
     chosen = np.empty(kept, dtype=np.int64)
     count = 0
@@ -128,12 +134,21 @@ def _distinct(poses, spots, apart, cosine, kept):
 
 
 @njit(cache=True, nogil=True)
-def _dot(a, b):
+def _dot(a: Floats, b: Floats) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True, nogil=True)
-def _agreeing_pairs(source, source_normals, target, target_normals, draws, least, apart, cosine):
+def _agreeing_pairs(
+    source: Floats,
+    source_normals: Floats,
+    target: Floats,
+    target_normals: Floats,
+    draws: Integers,
+    least: float,
+    apart: float,
+    cosine: float,
+) -> tuple[Integers, Integers]:
     first, second = np.empty(len(draws), np.int64), np.empty(len(draws), np.int64)
     sine = np.sqrt(1 - cosine * cosine)
     found = 0
@@ -164,14 +179,14 @@ def _agreeing_pairs(source, source_normals, target, target_normals, draws, least
 
 
 @njit(cache=True, nogil=True)
-def _angles_agree(a, b, cosine, sine):
+def _angles_agree(a: float, b: float, cosine: float, sine: float) -> bool:
     """Whether two angles, given by their cosines, differ by less than the angle of ``cosine``."""
     a, b = min(max(a, -1.0), 1.0), min(max(b, -1.0), 1.0)
     return a * b + np.sqrt((1 - a * a) * (1 - b * b)) > cosine
 
 
 @njit(cache=True, nogil=True)
-def _frame(origin, end, normal_a, normal_b, frame):
+def _frame(origin: Floats, end: Floats, normal_a: Floats, normal_b: Floats, frame: Floats) -> bool:
     """Columns: connecting line, mean normal made perpendicular to it, their cross product; false when undefined."""
     line = end - origin
     line /= np.sqrt(_dot(line, line))
@@ -189,7 +204,9 @@ def _frame(origin, end, normal_a, normal_b, frame):
 
 
 @njit(cache=True, nogil=True)
-def _poses_of_pairs(source, source_normals, target, target_normals, first, second):
+def _poses_of_pairs(
+    source: Floats, source_normals: Floats, target: Floats, target_normals: Floats, first: Integers, second: Integers
+) -> Floats:
     poses = np.zeros((len(first), 4, 4))
     frame_s, frame_t = np.empty((3, 3)), np.empty((3, 3))
     found = 0
@@ -215,7 +232,15 @@ def _poses_of_pairs(source, source_normals, target, target_normals, first, secon
 
 
 @njit(cache=True, nogil=True)
-def _votes(poses, source, source_normals, target, target_normals, apart, similar):
+def _votes(
+    poses: Floats,
+    source: Floats,
+    source_normals: Floats,
+    target: Floats,
+    target_normals: Floats,
+    apart: float,
+    similar: int,
+) -> Integers:
     """Number of source points one of whose ``similar`` partners lies within ``apart`` with its normal within 30 deg."""
     votes = np.zeros(len(poses), dtype=np.int64)
     for pose in range(len(poses)):

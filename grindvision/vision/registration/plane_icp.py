@@ -13,6 +13,7 @@ from grindvision.vision.registration.icp import FineRegistration, registration_r
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 BESIDE = 1.5
 """Points farther along a surfel's plane than so many cells lie beside the surface."""
@@ -57,16 +58,19 @@ def icp_planes(
     grid = target.grid
     size = grid.size_mm
     most = 3 * size if max_mm is None else float(max_mm)
-    planes = (
-        target.normals, grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
-        1.0 / size,
-    )  # fmt: skip
     limits = most, BESIDE * size, STAY * size, float(min_scale_mm), iterations
+
+    def icp(source: Floats, normals: Floats, start: Floats) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
+        return _plane_icp(
+            source, normals, start, *limits, target.normals, grid.points, grid.order, grid.starts, grid.table_keys,
+            grid.table_cells, grid.origin_mm, 1.0 / size,
+        )  # fmt: skip
+
     if len(source) > MANY:
-        near, *_, pairs, _ = _plane_icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform, *limits, *planes)
+        near, *_, pairs, _ = icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform)
         transform = near if pairs >= 12 else transform
-    transform, information, centre, errors, weight, pairs, converged = _plane_icp(
-        np.ascontiguousarray(source), normals, transform, *limits, *planes
+    transform, information, centre, errors, weight, pairs, converged = icp(
+        np.ascontiguousarray(source), normals, transform
     )
     if pairs < 12:
         raise DegenerateError(f"only {pairs} points of the scans meet within {most:.3g} mm; they do not overlap there")
@@ -93,7 +97,7 @@ def plane_residuals(
 
 
 @njit(cache=True, nogil=True)
-def solve_definite(matrix, right):
+def solve_definite(matrix: Floats, right: Floats) -> Floats:
     """Solution (n,) of a small symmetric positive definite system (n, n), by elimination without pivots."""
     rows, solution = matrix.copy(), right.copy()
     count = len(right)
@@ -112,9 +116,26 @@ def solve_definite(matrix, right):
 
 @njit(cache=True, nogil=True)
 def _match(
-    source, normals, transform, most, beside, target_normals, points, order, starts, table_keys, table_cells, origin,
-    per_mm, stay, sought, moved, matches, residuals, facing,
-):  # fmt: skip
+    source: Floats,
+    normals: Floats,
+    transform: Floats,
+    most: float,
+    beside: float,
+    target_normals: Floats,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    stay: float,
+    sought: Floats,
+    moved: Floats,
+    matches: Integers,
+    residuals: Floats,
+    facing: Floats,
+) -> None:
     """Move points (N, 3) with normals (N, 3) and find the plane of each: fill the moved points, the planes' indices, -1
     where none is shown, distances along their normals and the cosines (N,) between the normals.
 
@@ -146,7 +167,7 @@ def _match(
 
 
 @njit(cache=True, nogil=True)
-def _rotate_and_translate(transform, centre, step):
+def _rotate_and_translate(transform: Floats, centre: Floats, step: Floats) -> float:
     """Add a translation ``step[:3]`` and a rotation vector ``step[3:]`` about ``centre``, in place, and return its
     angle."""
     angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
@@ -167,9 +188,23 @@ def _rotate_and_translate(transform, centre, step):
 
 @njit(cache=True, nogil=True)
 def _plane_icp(
-    source, normals, transform, most, beside, stay, least_scale, iterations,
-    target_normals, points, order, starts, table_keys, table_cells, origin, per_mm,
-):  # fmt: skip
+    source: Floats,
+    normals: Floats,
+    transform: Floats,
+    most: float,
+    beside: float,
+    stay: float,
+    least_scale: float,
+    iterations: int,
+    target_normals: Floats,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
     count = len(source)
     current = transform.copy()
     moved, residual, facing = np.empty((count, 3)), np.empty(count), np.empty(count)

@@ -104,14 +104,14 @@ def refine_pose(source: ArrayLike, target: ArrayLike, T_start: ArrayLike, thresh
     from scipy.optimize import least_squares
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(target)
+    tree, T_start = cKDTree(target), np.asarray(T_start, dtype=float)
     centre = move_points(T_start, source).mean(axis=0)
     to_centre, back = rigid(None, -centre), rigid(None, centre)
     extent = float(np.sqrt(((move_points(T_start, source) - centre) ** 2).sum(axis=1).mean()))
     scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
 
     def pose(motion: Floats) -> Floats:
-        return back @ small_motion(motion * scale) @ to_centre @ T_start
+        return np.asarray(back @ small_motion(motion * scale) @ to_centre @ T_start)
 
     def residuals(motion: Floats) -> Floats:
         distances, _ = tree.query(move_points(pose(motion), source))

@@ -9,6 +9,7 @@ are in degrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,7 @@ from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, swee
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
@@ -120,11 +122,24 @@ def vote(points: ArrayLike, marked: ArrayLike, radius_mm: float) -> Flags:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _normals(first, last, points, order, starts, table_keys, table_cells, origin, per_mm, radius, normals):
+def _normals(
+    first: int,
+    last: int,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    radius: float,
+    normals: Floats,
+) -> None:
     found = np.empty(1024, np.int64)
     x, y, z = np.empty(1024, np.float32), np.empty(1024, np.float32), np.empty(1024, np.float32)
     limit = radius * radius
-    zero, one = np.float32(0), np.float32(1)
+    zero: Any = np.float32(0)
+    one: Any = np.float32(1)
     for cell in range(first, last):
         found, count = gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found)
         if count > len(x):
@@ -166,12 +181,27 @@ def _normals(first, last, points, order, starts, table_keys, table_cells, origin
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _angles(
-    first, last, points, order, starts, table_keys, table_cells, origin, per_mm, radius, normals, turn, local, whole
-):
+    first: int,
+    last: int,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    radius: float,
+    normals: Floats,
+    turn: Floats,
+    local: Floats,
+    whole: Floats,
+) -> None:
     found = np.empty(1024, np.int64)
     near = np.empty((7, 1024), np.float32)
     limit = radius * radius
-    zero, one, two, degrees = np.float32(0), np.float32(1), np.float32(2), np.float32(180 / np.pi)
+    zero: Any = np.float32(0)
+    one: Any = np.float32(1)
+    two, degrees = np.float32(2), np.float32(180 / np.pi)
     k0, k1, k2, k3 = (
         np.float32(1.5707963050),
         np.float32(-0.2145988016),
@@ -229,11 +259,25 @@ def _angles(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _vote(first, last, points, order, starts, table_keys, table_cells, origin, per_mm, radius, marked, result):
+def _vote(
+    first: int,
+    last: int,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    radius: float,
+    marked: Flags,
+    result: Floats,
+) -> None:
     found = np.empty(1024, np.int64)
     near = np.empty((4, 1024), np.float32)
     limit = radius * radius
-    zero, one = np.float32(0), np.float32(1)
+    zero: Any = np.float32(0)
+    one: Any = np.float32(1)
     for cell in range(first, last):
         found, count = gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found)
         if count > near.shape[1]:

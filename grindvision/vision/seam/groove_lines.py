@@ -289,5 +289,5 @@ def _both_sides_share(sections: Sections, theta: Floats, first: int, last: int) 
     middle, width = (theta[:, LEFT] + theta[:, RIGHT]) / 2, theta[:, RIGHT] - theta[:, LEFT]
     outer = np.abs(sections.across - middle[:, None])
     beside = (outer > width[:, None] / 2) & (outer < 0.75 * width[:, None]) & (sections.weight > 0)
-    left, right = (beside & (sections.across < 0)).any(axis=1), (beside & (sections.across > 0)).any(axis=1)
-    return float((left & right)[first:last].mean())
+    sides = [np.asarray((beside & side).any(axis=1)) for side in (sections.across < 0, sections.across > 0)]
+    return float((sides[0] & sides[1])[first:last].mean())

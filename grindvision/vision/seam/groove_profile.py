@@ -88,12 +88,15 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
     shape = np.array([corners.edge_mm, corners.root_mm, corners.floor_mm])
     gap = corners.floor_mm + sections.bin_mm
 
-    def fit_part(*part: Floats) -> tuple[Floats, Floats, Floats]:
-        return fit_stations(*part, shape, float(noise_mm), gap)
+    def fit_part(
+        across: Floats, up: Floats, weight: Floats, start: Floats, prior: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        return fit_stations(across, up, weight, start, prior, shape, float(noise_mm), gap)
 
     columns = (np.array_split(column, 2) for column in (sections.across, sections.up, weight, start, prior))
     fitted = zip(*parallel_map(fit_part, *columns), strict=True)
-    return ProfileFit(*(np.concatenate(halves) for halves in fitted), corners)
+    theta, covariance, residual = (np.concatenate(halves) for halves in fitted)
+    return ProfileFit(theta, covariance, residual, corners)
 
 
 def profile_height(across: Floats, parameters: Floats, corners: Corners) -> Floats:
@@ -113,7 +116,7 @@ def _ramp(x: Floats, rounding: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _bin_sums(along, across, up, stations, step, bins, width):
+def _bin_sums(along: Floats, across: Floats, up: Floats, stations: int, step: float, bins: int, width: float) -> Floats:
     sums = np.zeros((3, stations, bins))
     for p in range(len(along)):
         s = int(along[p] / step + 0.5)

@@ -86,7 +86,7 @@ def smoothed(field: HeightField, sigma_mm: float) -> Floats:
     reach = int(3 * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
     level = float(np.nanmean(field.heights_mm))
-    return _weighted_means((field.heights_mm - level).astype(np.float32), kernel.astype(np.float32)) + level
+    return np.asarray(_weighted_means((field.heights_mm - level).astype(np.float32), kernel.astype(np.float32)) + level)
 
 
 def closed(heights_mm: Floats, radius_cells: float) -> Floats:
@@ -106,7 +106,7 @@ def closed(heights_mm: Floats, radius_cells: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def field_bounds(points, frame):
+def field_bounds(points: Floats, frame: Floats) -> tuple[Floats, Floats]:
     """Lowest and highest coordinates (3,) of points (N, 3) in a field frame (4, 4)."""
     x_low = y_low = z_low = np.inf
     x_high = y_high = z_high = -np.inf
@@ -121,7 +121,7 @@ def field_bounds(points, frame):
 
 
 @njit(cache=True, nogil=True)
-def _cell_means(points, frame, cell, rows, columns):
+def _cell_means(points: Floats, frame: Floats, cell: float, rows: int, columns: int) -> tuple[Floats, Integers]:
     totals, counts = np.zeros((rows, columns)), np.zeros((rows, columns), np.int64)
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -133,7 +133,7 @@ def _cell_means(points, frame, cell, rows, columns):
 
 
 @njit(cache=True, nogil=True)
-def _merged(heights, counts, factor):
+def _merged(heights: Floats, counts: Integers, factor: int) -> tuple[Floats, Integers]:
     """Mean heights and counts over blocks of ``factor`` x ``factor`` cells."""
     shape = ((heights.shape[0] + factor - 1) // factor, (heights.shape[1] + factor - 1) // factor)
     totals, numbers = np.zeros(shape), np.zeros(shape, np.int64)
@@ -146,7 +146,7 @@ def _merged(heights, counts, factor):
 
 
 @njit(cache=True, nogil=True)
-def _divided(totals, counts):
+def _divided(totals: Floats, counts: Integers) -> Floats:
     for i in range(totals.shape[0]):
         for j in range(totals.shape[1]):
             totals[i, j] = totals[i, j] / counts[i, j] if counts[i, j] > 0 else np.nan
@@ -154,7 +154,7 @@ def _divided(totals, counts):
 
 
 @njit(cache=True, nogil=True)
-def _weighted_means(values, kernel):
+def _weighted_means(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
     """Means (R, C) of the values that are no NaN, weighted with a kernel (K,) along rows and columns; NaN stays."""
     rows, columns = values.shape
     half = len(kernel) // 2
@@ -181,7 +181,7 @@ def _weighted_means(values, kernel):
 
 
 @njit(cache=True, nogil=True)
-def _disc_maximum(heights, reach):
+def _disc_maximum(heights: NDArray[np.float32], reach: Integers) -> NDArray[np.float32]:
     """Maximum over a disc whose rows k and -k span ``reach[k]`` columns to both sides, by doubling windows."""
     rows, columns = heights.shape
     half = reach[0]

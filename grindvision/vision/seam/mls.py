@@ -6,6 +6,8 @@ weights are exp(-d^2 / r^2), and the point is moved straight along the plane's n
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +18,7 @@ from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, swee
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 #: Terms of the polynomial of order 2; with fewer neighbours the plane is used.
 TERMS = 6
@@ -45,7 +48,20 @@ def smooth_mls(points: ArrayLike, radius_mm: float, order: int = 2) -> Floats:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _move(first, last, points, order_, starts, table_keys, table_cells, origin, per_mm, radius, order, moved):
+def _move(
+    first: int,
+    last: int,
+    points: Floats,
+    order_: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    radius: float,
+    order: int,
+    moved: Floats,
+) -> None:
     found = np.empty(4096, np.int64)
     x, y, z = np.empty(4096, np.float32), np.empty(4096, np.float32), np.empty(4096, np.float32)
     kept = np.empty((3, 4096), np.float32)
@@ -81,9 +97,9 @@ def _move(first, last, points, order_, starts, table_keys, table_cells, origin, 
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _plane(kept, near):
+def _plane(kept: NDArray[np.float32], near: int) -> tuple[float, float, float, float, float, float]:
     """Mean (relative to the point) and unit normal of the neighbours."""
-    zero = np.float32(0)
+    zero: Any = np.float32(0)
     sx, sy, sz, xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for m in range(near):
         dx, dy, dz = kept[0, m], kept[1, m], kept[2, m]
@@ -106,7 +122,9 @@ def _plane(kept, near):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _paraboloid(kept, near, height, nx, ny, nz, radius):
+def _paraboloid(
+    kept: NDArray[np.float32], near: int, height: float, nx: float, ny: float, nz: float, radius: float
+) -> float:
     """Height at the point of the weighted paraboloid over the plane, whose foot lies ``height`` along the normal."""
     if abs(nx) < 0.6:
         ux, uy, uz = 0.0, -nz, ny
@@ -173,7 +191,7 @@ def _paraboloid(kept, near, height, nx, ny, nz, radius):
 
 
 @njit(cache=True, nogil=True)
-def _first_unknown(matrix):
+def _first_unknown(matrix: Floats) -> float:
     """First unknown of a symmetric positive system (n, n + 1), eliminated from the last one upwards; 0 if singular."""
     size = len(matrix)
     scale = matrix[0, 0]

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 #: Damped Gauss-Newton steps at most; a station whose cost changes by less than ``SETTLED`` of itself is left alone.
 ROUNDS, SETTLED = 14, 1e-5
@@ -16,7 +19,9 @@ LINEAR_BEYOND = 2.0
 
 
 @njit(cache=True, nogil=True)
-def fit_stations(across, up, weight, start, prior, shape, noise, gap):
+def fit_stations(
+    across: Floats, up: Floats, weight: Floats, start: Floats, prior: Floats, shape: Floats, noise: float, gap: float
+) -> tuple[Floats, Floats, Floats]:
     """Parameters (S, 7) of S stations, their standard deviations (S, 7) and the spread of the profile about them (S,).
 
     Args:
@@ -71,7 +76,17 @@ def fit_stations(across, up, weight, start, prior, shape, noise, gap):
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _compare(across, up, weight, theta, shape, noise, slopes, off, share):
+def _compare(
+    across: Floats,
+    up: Floats,
+    weight: Floats,
+    theta: Floats,
+    shape: Floats,
+    noise: float,
+    slopes: Floats,
+    off: Floats,
+    share: Floats,
+) -> float:
     """Huber cost of a profile; writes rows 2 to 6 of ``slopes`` (7, M), and (M,) residuals and their weights."""
     level, tilt, bend, depth, left, root, right = theta
     edge, corner, floor = shape
@@ -102,7 +117,16 @@ def _compare(across, up, weight, theta, shape, noise, slopes, off, share):
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _equations(slopes, off, share, theta, start, prior, normal, force):
+def _equations(
+    slopes: Floats,
+    off: Floats,
+    share: Floats,
+    theta: Floats,
+    start: Floats,
+    prior: Floats,
+    normal: Floats,
+    force: Floats,
+) -> float:
     """Cost of the prior; writes the normal equations: lower half of the matrix (7, 7), right side (7,)."""
     cost = 0.0
     for j in range(7):
@@ -122,7 +146,7 @@ def _equations(slopes, off, share, theta, start, prior, normal, force):
 
 
 @njit(cache=True, nogil=True)
-def _factorise(normal, swelling, factor):
+def _factorise(normal: Floats, swelling: float, factor: Floats) -> None:
     """Cholesky factor (7, 7) of a matrix (lower half) whose diagonal is multiplied by ``swelling``."""
     for j in range(7):
         for k in range(j + 1):
@@ -133,7 +157,7 @@ def _factorise(normal, swelling, factor):
 
 
 @njit(cache=True, nogil=True)
-def _solve(factor, force, answer):
+def _solve(factor: Floats, force: Floats, answer: Floats) -> None:
     for j in range(7):
         value = force[j]
         for m in range(j):

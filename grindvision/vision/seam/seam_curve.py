@@ -115,7 +115,7 @@ def _unit(vectors: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _paint_nearest(stations, corner, cell, rows, columns, reach):
+def _paint_nearest(stations: Floats, corner: Floats, cell: float, rows: int, columns: int, reach: float) -> Integers:
     """Index of the nearest station (by x and y) of every cell, -1 beyond the reach."""
     nearest = np.full((rows, columns), -1, np.int64)
     distance = np.full((rows, columns), np.inf)
@@ -132,7 +132,19 @@ def _paint_nearest(stations, corner, cell, rows, columns, reach):
 
 
 @njit(cache=True, nogil=True)
-def _curve_coordinates(points, frame, nearest, corner, cell, stations, along, across, up, step, limits):
+def _curve_coordinates(
+    points: Floats,
+    frame: Floats,
+    nearest: Integers,
+    corner: Floats,
+    cell: float,
+    stations: Floats,
+    along: Floats,
+    across: Floats,
+    up: Floats,
+    step: float,
+    limits: Floats,
+) -> tuple[Integers, Floats]:
     rows, columns = nearest.shape
     index, place, kept = np.empty(len(points), np.int64), np.empty((len(points), 3)), 0
     for p in range(len(points)):

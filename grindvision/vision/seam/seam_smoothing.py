@@ -81,7 +81,7 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
 
 
 @njit(cache=True, nogil=True)
-def _robust(values, base, stiffness, rounds):
+def _robust(values: Floats, base: Floats, stiffness: float, rounds: int) -> Floats:
     """Smoothed values (S,), the weights of those that stand out lowered from round to round."""
     smooth, bands, weight = np.empty(len(values)), np.empty((3, len(values))), base.copy()
     for number in range(rounds):
@@ -94,7 +94,7 @@ def _robust(values, base, stiffness, rounds):
 
 
 @njit(cache=True, nogil=True)
-def _misses(values, weights, stiffnesses):
+def _misses(values: Floats, weights: Floats, stiffnesses: Floats) -> Floats:
     """How far (L, S) the curve of each of L stiffnesses misses a value when it and those around it are left out."""
     count = len(values)
     smooth, bands, kept = np.empty(count), np.empty((3, count)), np.empty(count)
@@ -111,7 +111,7 @@ def _misses(values, weights, stiffnesses):
 
 
 @njit(cache=True, nogil=True)
-def _smooth(values, weights, stiffness, smooth, bands):
+def _smooth(values: Floats, weights: Floats, stiffness: float, smooth: Floats, bands: Floats) -> None:
     """Solve (W + stiffness D^T D) x = W y into ``smooth``; D takes second differences, so the matrix has five bands.
 
     Factorised as L diag(d) L^T; ``bands`` (3, S) takes the two bands of L and 1 / d.

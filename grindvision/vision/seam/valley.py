@@ -195,7 +195,8 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
     """The piece with its path from one end to the other, which keeps to the deepest cells."""
     depth, field = filling.depth, filling.field
     rows, columns = np.nonzero(piece.cells)
-    index = np.full(piece.cells.shape, -1)
+    height, width = piece.cells.shape
+    index = np.full((height, width), -1)
     index[rows, columns] = np.arange(len(rows))
     nodes = np.column_stack([field.positions(rows, columns), filling.surface[rows, columns]])
     local = ndimage.maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
@@ -203,7 +204,7 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
     starts, ends = [], []
     for step_row, step_column in ((0, 1), (1, 0), (1, 1), (1, -1)):
         to_rows, to_columns = rows + step_row, columns + step_column
-        inside = (to_rows < index.shape[0]) & (to_columns >= 0) & (to_columns < index.shape[1])
+        inside = (to_rows < height) & (to_columns >= 0) & (to_columns < width)
         there = np.full(len(rows), -1)
         there[inside] = index[to_rows[inside], to_columns[inside]]
         starts.append(np.flatnonzero(there >= 0))

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True)
-def connected_parts(depth, level):
+def connected_parts(depth: Floats, level: float | np.float32) -> tuple[NDArray[np.int32], Floats, Integers]:
     """Parts of a map (R, C) that are deeper than a level; cells that touch at a corner belong together.
 
     Returns the number of each cell's part (R, C), counted from 1 and 0 outside, the sum of depths of every part (P,),
@@ -44,7 +49,7 @@ def connected_parts(depth, level):
 
 
 @njit(cache=True, nogil=True)
-def inner_radius(inside):
+def inner_radius(inside: Flags) -> float:
     """Greatest distance, in cells, of a cell that is ``inside`` (R, C) from the nearest one that is not.
 
     Beyond the map all is outside.
@@ -73,7 +78,7 @@ def inner_radius(inside):
 
 
 @njit(cache=True, nogil=True)
-def cleared(depth, level):
+def cleared(depth: Floats, level: float) -> Floats:
     """A depth map (R, C) without what is deeper than a level, and without two cells around it."""
     result = depth.copy()
     rows, columns = depth.shape

@@ -112,7 +112,7 @@ def _frame(points: Floats, centre: Floats, up: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _moments(points):
+def _moments(points: Floats) -> tuple[Floats, Floats, Floats]:
     """Mean (3,) of points (N, 3), and the sums of their second (3, 3) and third powers (3, 3, 3) about it."""
     centre = np.zeros(3)
     for p in range(len(points)):
@@ -139,7 +139,7 @@ def _moments(points):
 
 
 @njit(cache=True, nogil=True)
-def _moved(points, frame):
+def _moved(points: Floats, frame: Floats) -> Floats:
     """Points (N, 3) in another frame (4, 4), without the copies that a product of matrices makes."""
     result = np.empty(points.shape)
     for p in range(len(points)):

@@ -77,18 +77,22 @@ def trace_weld(
         raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
     if waypoints < 2:
         raise InputError(f"{waypoints} way points make no path; ask for at least 2")
+    grooves: tuple[DetectedGroove, ...] = ()
+    left_out: tuple[DetectedGroove, ...] = ()
+    spacing: float | None = None
+    paths: tuple[SeamPath, ...]
     begin = time.perf_counter()
     if variant == "paper":
         detection = find_groove_gfh(points, settings, viewpoint_mm)
         found = time.perf_counter()
         inside = detection.labels.ravel()[detection.finite]
         paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
-        labels, grooves, spacing, left_out = detection.labels, (), None, ()
+        labels = detection.labels
     else:
         detected = find_grooves(points, viewpoint_mm, width_mm)
         found = time.perf_counter()
-        labels, grooves, spacing = detected.labels, detected.grooves, detected.spacing_mm
-        left_out = detected.left_out
+        labels, grooves, left_out = detected.labels, detected.grooves, detected.left_out
+        spacing = detected.spacing_mm
         paths = tuple(root_path(groove, waypoints) for groove in grooves)
         if detected.cluttered:
             warnings.warn(
@@ -98,7 +102,7 @@ def trace_weld(
                 stacklevel=2,
             )
         for number, groove in enumerate(grooves, start=1):
-            for doubt in doubts_about(groove, points, spacing):
+            for doubt in doubts_about(groove, points, detected.spacing_mm):
                 warnings.warn(f"groove {number} {doubt}", GrindvisionWarning, stacklevel=2)
     end = time.perf_counter()
     return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing, left_out)

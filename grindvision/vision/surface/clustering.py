@@ -11,6 +11,7 @@ from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
 
 Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 
 def euclidean_clusters(points: ArrayLike, distance_mm: float) -> Integers:
@@ -35,7 +36,16 @@ def euclidean_clusters(points: ArrayLike, distance_mm: float) -> Integers:
 
 
 @njit(cache=True, nogil=True)
-def _joined_cells(points, order, starts, table_keys, table_cells, origin, per_mm, distance):
+def _joined_cells(
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    distance: float,
+) -> Integers:
     """Root cell of every cell once all cells with points near enough are joined."""
     cells = len(starts) - 1
     parent = np.arange(cells)
@@ -63,7 +73,7 @@ def _joined_cells(points, order, starts, table_keys, table_cells, origin, per_mm
 
 
 @njit(cache=True, nogil=True)
-def _root(parent, cell):
+def _root(parent: Integers, cell: int) -> int:
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
         cell = parent[cell]
@@ -71,7 +81,7 @@ def _root(parent, cell):
 
 
 @njit(cache=True, nogil=True)
-def _touch(points, order, starts, cell, other, distance):
+def _touch(points: Floats, order: Integers, starts: Integers, cell: int, other: int, distance: float) -> bool:
     for a in range(starts[cell], starts[cell + 1]):
         for b in range(starts[other], starts[other + 1]):
             total = 0.0

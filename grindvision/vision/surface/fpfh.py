@@ -18,6 +18,8 @@ from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 BINS = 11
 
@@ -56,7 +58,7 @@ def mirrored_fpfh(features: ArrayLike) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _simple_histograms(points, normals, starts, indices, mutual):
+def _simple_histograms(points: Floats, normals: Floats, starts: Integers, indices: Integers, mutual: bool) -> Floats:
     """SPFH: the angles of Eq 4 between each point and its neighbours, as percentages per bin.
 
     The angles of a pair are the same seen from both its points: where neighbourhood is ``mutual``, one look serves two.
@@ -84,7 +86,7 @@ def _simple_histograms(points, normals, starts, indices, mutual):
 
 
 @njit(cache=True, nogil=True)
-def _weighted_histograms(simple, starts, indices, squared):
+def _weighted_histograms(simple: Floats, starts: Integers, indices: Integers, squared: Floats) -> Floats:
     features = simple.copy()
     sums = np.empty(3 * BINS)
     for p in range(len(simple)):
@@ -108,7 +110,7 @@ def _weighted_histograms(simple, starts, indices, squared):
 
 
 @njit(cache=True, nogil=True)
-def _pair_angles(points, normals, p, q):
+def _pair_angles(points: Floats, normals: Floats, p: int, q: int) -> tuple[float, float, float, float]:
     """Eqs 3 and 4 for one pair: x and y of which theta is the arctangent, and the cosines alpha and phi.
 
     All is zero where the frame is undefined.
@@ -136,7 +138,7 @@ def _pair_angles(points, normals, p, q):
 
 
 @njit(cache=True, nogil=True)
-def _bin_of_direction(x, y):
+def _bin_of_direction(x: float, y: float) -> int:
     """Bin of the angle of (x, y) from -pi to pi; its arctangent would take as long as the rest of the pair."""
     size = abs(x) + abs(y)
     quadrant = y / size if size > 0 else 0.0
@@ -149,5 +151,5 @@ def _bin_of_direction(x, y):
 
 
 @njit(cache=True, nogil=True)
-def _bin(fraction):
+def _bin(fraction: float) -> int:
     return min(max(int(np.floor(BINS * fraction)), 0), BINS - 1)

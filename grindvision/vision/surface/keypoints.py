@@ -46,7 +46,7 @@ def most_similar(features: ArrayLike, among: ArrayLike, count: int) -> NDArray[n
 
 
 @njit(cache=True, nogil=True)
-def _nearest_columns(rows, columns, half_squares, result):
+def _nearest_columns(rows: Floats, columns: Floats, half_squares: Floats, result: Floats) -> None:
     """For each of ``rows`` (N, F) the ``columns`` (F, M) of least distance, nearest first, into ``result`` (N, count).
 
     Products are summed four features at a time. A linear algebra library is hardly faster, and in two threads that

@@ -62,7 +62,17 @@ def sweep(kernel: Callable[..., None], grid: CellGrid, *arguments: object) -> No
 
 
 @njit(cache=True, nogil=True)
-def gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found):
+def gather(
+    cell: int,
+    points: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+    found: Integers,
+) -> tuple[Integers, int]:
     """Write the indices of all points of the 125 cells around a cell into ``found``, grown when too small.
 
     Returns the array and the number of points.

@@ -12,6 +12,7 @@ from grindvision.geometry.hash_grid import bounds, build_cells
 from grindvision.geometry.neighbours import within_radius
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 COS_EDGE_ON = float(np.cos(np.radians(75)))
 """Cosine of the angle between normal and ray from which on scanners see next to nothing."""
@@ -126,7 +127,7 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
         return None
     if normals is not None:
         every = -(-len(points) // GLANCE_POINTS)
-        places, facing = points[::every], normals[::every]
+        places, facing = points[::every], np.asarray(normals, dtype=float)[::every]
         towards = -(places * facing).sum(axis=1)
         if np.median(np.abs(towards) / np.linalg.norm(places, axis=1)) < COS_EDGE_ON:
             return None
@@ -137,7 +138,9 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
 
 
 @njit(cache=True, nogil=True)
-def smallest_eigenpair(xx, xy, xz, yy, yz, zz):
+def smallest_eigenpair(
+    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+) -> tuple[float, float, float, float]:
     """Smallest eigenvalue of a symmetric 3x3 matrix and its unit eigenvector (value, x, y, z)."""
     scale = max(abs(xx), abs(xy), abs(xz), abs(yy), abs(yz), abs(zz))
     if scale == 0.0:
@@ -168,7 +171,7 @@ def smallest_eigenpair(xx, xy, xz, yy, yz, zz):
 
 
 @njit(cache=True, nogil=True)
-def _covered_cells(away, directions, cell):
+def _covered_cells(away: Floats, directions: Floats, cell: float) -> Integers:
     """How many square cells (D,) of the plane across each direction (D, 3) the points, about their mean, cover.
 
     Points more than ``MAX_CELLS`` away count in the outermost cells.
@@ -192,7 +195,7 @@ def _covered_cells(away, directions, cell):
 
 
 @njit(cache=True, nogil=True)
-def _plane_normals(points, starts, indices):
+def _plane_normals(points: Floats, starts: Integers, indices: Integers) -> Floats:
     normals = np.zeros((len(points), 3))
     for p in range(len(points)):
         count = starts[p + 1] - starts[p]
@@ -220,7 +223,7 @@ def _plane_normals(points, starts, indices):
 
 
 @njit(cache=True, nogil=True)
-def _propagated(points, normals, starts, indices):
+def _propagated(points: Floats, normals: Floats, starts: Integers, indices: Integers) -> Floats:
     """Kruskal's tree over the neighbour edges, flattest first, with the sign relation kept in a union-find forest."""
     nearly_flat = 0.1
     edges = len(indices)
@@ -266,7 +269,7 @@ def _propagated(points, normals, starts, indices):
 
 
 @njit(cache=True, nogil=True)
-def _root(parent, sign, p):
+def _root(parent: Integers, sign: Floats, p: int) -> tuple[int, float]:
     """Root of p and p's sign relative to it, halving the path on the way."""
     total = 1.0
     while parent[p] != p:

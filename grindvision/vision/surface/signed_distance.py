@@ -12,6 +12,7 @@ from grindvision.parallel import parallel_map
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 def signed_distances(target: Surfels, points: ArrayLike, max_mm: float) -> tuple[Floats, Floats, Floats]:
@@ -39,7 +40,17 @@ def signed_distances(target: Surfels, points: ArrayLike, max_mm: float) -> tuple
 
 
 @njit(cache=True, nogil=True)
-def _blended(queries, max_mm, planes, order, starts, table_keys, table_cells, origin, per_mm):
+def _blended(
+    queries: Floats,
+    max_mm: float,
+    planes: Floats,
+    order: Integers,
+    starts: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+    origin: Floats,
+    per_mm: float,
+) -> tuple[Floats, Floats, Floats]:
     """Signed distances, normals, variances; ``planes`` as ``Surfels`` has them."""
     number = len(queries)
     distances, variances = np.full(number, np.nan), np.zeros(number)

@@ -89,7 +89,7 @@ def surface_area(points: ArrayLike) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _moments(points, cell_of_point, cells, origin, per_mm):
+def _moments(points: Floats, cell_of_point: NDArray[np.int32], cells: int, origin: Floats, per_mm: float) -> Floats:
     """Per cell: number, sum and second moments of its points about the cell's corner, in cells."""
     sums = np.zeros((cells, 10))
     for p in range(len(points)):
@@ -112,7 +112,9 @@ def _moments(points, cell_of_point, cells, origin, per_mm):
 
 
 @njit(cache=True, nogil=True)
-def _fit_planes(keys, sums, table_keys, table_cells, origin, size):
+def _fit_planes(
+    keys: Integers, sums: Floats, table_keys: Integers, table_cells: NDArray[np.int32], origin: Floats, size: float
+) -> tuple[Floats, Floats, Floats, Floats]:
     cells = len(keys)
     means, normals = np.empty((cells, 3)), np.zeros((cells, 3))
     noise, roughness = np.zeros(cells), np.zeros(cells)

@@ -66,7 +66,7 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
     points = check_points(points, "points")
     origin = np.asarray(origin_mm, dtype=float)
     if origin.shape != (3,) or not np.isfinite(origin).all():
-        raise InputError(f"origin_mm is {origin_mm}; it must be three finite numbers")
+        raise InputError(f"origin_mm is {origin.tolist()}; it must be three finite numbers")
     if not (np.isfinite(size_mm) and size_mm > 0):
         raise InputError(f"the voxel size is {size_mm} mm; it must be above zero")
     points = np.ascontiguousarray(points)
@@ -93,7 +93,17 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
 
 
 @njit(cache=True, nogil=True)
-def _number_cells(points, origin, size, low, extent, numbers, keys, table_keys, table_cells):
+def _number_cells(
+    points: Floats,
+    origin: Floats,
+    size: float,
+    low: Integers,
+    extent: Integers,
+    numbers: NDArray[np.int32],
+    keys: Integers,
+    table_keys: Integers,
+    table_cells: NDArray[np.int32],
+) -> int:
     """Number the lattice cells of the points in order of first appearance: how many; -1 when ``keys`` is full.
 
     A key counts the cells of the cloud's box, x slowest. Scan neighbours share a cell: the table is asked when it
@@ -120,7 +130,7 @@ def _number_cells(points, origin, size, low, extent, numbers, keys, table_keys, 
 
 
 @njit(cache=True, nogil=True)
-def _gather(points, numbers, rank):
+def _gather(points: Floats, numbers: NDArray[np.int32], rank: NDArray[np.int32]) -> tuple[Integers, Floats]:
     """Renumber the cells by ``rank``, in place: points per cell (M,), and their sums (M, 3) about the first point."""
     counts, sums = np.zeros(len(rank), dtype=np.int64), np.zeros((len(rank), 3))
     x, y, z = points[0]
