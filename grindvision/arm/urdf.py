@@ -147,7 +147,8 @@ def _joints(path: Path, robot: ElementTree.Element) -> list[UrdfJoint]:
     joints = []
     for element in robot.findall("joint"):
         name, kind = element.attrib["name"], element.get("type", "")
-        ends = [(element.find(role) if element.find(role) is not None else element).get("link", "") for role in ROLES]
+        places = [element.find(role) for role in ROLES]
+        ends = ["" if place is None else place.get("link", "") for place in places]
         unknown = [end for end in ends if end not in links]
         if kind not in KINDS or unknown:
             what = f"type {kind!r}" if kind not in KINDS else f"link {unknown[0]!r}"
