@@ -19,7 +19,9 @@ import grindvision_book as book
 from grindvision import cli, paper
 from grindvision.errors import FileError, InputError
 from grindvision_book.answers import judged, verdict, write_scoreboard
-from grindvision_book.chapters import LONGEST, _environment, chapters, chosen, longest_first, rebuild
+from grindvision_book.chapters import chosen
+from grindvision_book.kernels import kernel_environment
+from grindvision_book.rebuilding import rebuild
 
 EXPECTED = paper.expected()
 FIRST = EXPECTED.iloc[0]
@@ -214,18 +216,15 @@ def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
     assert any(cell.get("outputs") for cell in executed.cells)
 
 
-def test_the_longest_chapters_start_first_and_none_is_left_out():
-    there = list(chapters())
-    order = longest_first(there)
-    assert sorted(order) == there
-    assert tuple(order[: len(LONGEST)]) == LONGEST
-
-
 def test_studies_of_chapters_that_share_the_cores_share_their_workers():
     for threads in (1, 2):
         asked = "import joblib; print(joblib.effective_n_jobs(-1))"
         answer = subprocess.run(
-            [sys.executable, "-c", asked], env=_environment(False, threads), capture_output=True, text=True, check=True
+            [sys.executable, "-c", asked],
+            env=kernel_environment(False, threads),
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert int(answer.stdout) == min(threads, os.cpu_count())
 

@@ -152,7 +152,7 @@ def test_findings_say_what_the_printed_tables_say(whole_site):
 
 
 def test_every_word_of_the_glossary_leads_to_a_page_that_explains_it():
-    text = (ROOT / "grindvision" / "book" / "site_sources" / "glossary.md").read_text(encoding="utf-8")
+    text = (ROOT / "grindvision_book" / "site_sources" / "glossary.md").read_text(encoding="utf-8")
     entries = re.findall(r"^(\S.*)\n  (.+)$", text.split("```{glossary}\n")[1], re.MULTILINE)
     assert len(entries) >= 35 and [word for word, _ in entries] == sorted((w for w, _ in entries), key=str.lower)
     assert all(re.search(r"\]\((notebooks/\S+\.ipynb|conventions\.md)\)$", meaning) for _, meaning in entries)
@@ -169,7 +169,7 @@ def test_scenes_stand_under_the_figures_they_belong_to(whole_site):
 
 def test_citations_agree_and_no_doi_is_made_up():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    references = (ROOT / "grindvision" / "book" / "site_sources" / "references.md").read_text(encoding="utf-8")
+    references = (ROOT / "grindvision_book" / "site_sources" / "references.md").read_text(encoding="utf-8")
     diao, peng = citation["references"]
     assert diao["doi"] in references and "doi" not in peng and peng["url"] in references
     assert all(re.fullmatch(r"10\.\d{4,}/\S+", doi) for doi in re.findall(r"doi:(\S+?)\]", references))

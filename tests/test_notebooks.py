@@ -6,10 +6,11 @@ import nbformat
 import pytest
 
 from grindvision_book.agreement import disagreements, files_in
-from grindvision_book.chapters import chapters, rebuild
+from grindvision_book.chapters import chapters
 from grindvision_book.committed import committed_figures
 from grindvision_book.contents import listed
 from grindvision_book.places import NOTEBOOKS
+from grindvision_book.rebuilding import rebuild
 
 COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
 COMMITTED = [path for path in COMMITTED if ".ipynb_checkpoints" not in path.parts]
@@ -34,7 +35,7 @@ def test_a_chapter_starts_under_its_own_number(number: str, path: Path) -> None:
 
 @pytest.mark.full
 def test_figures_rebuilt_from_empty_agree_with_the_committed_ones(tmp_path: Path) -> None:
-    outcomes = rebuild(build=tmp_path / "build", figures=tmp_path / "figures", report=print)
+    outcomes = rebuild(build=tmp_path / "build", figures=tmp_path / "figures")
     assert [str(outcome) for outcome in outcomes if outcome.failure] == []
     rebuilt, committed = files_in(tmp_path / "figures"), committed_figures().files
     rebuilt, committed = ({name: files[name] for name in files if name in listed()} for files in (rebuilt, committed))

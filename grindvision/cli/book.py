@@ -10,30 +10,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this command."""
     parser.add_argument("--only", nargs="+", default=[], metavar="NN", help="chapters to run, by number (default: all)")
     parser.add_argument("--fast", action="store_true", help="fewer trials; results go to build/fast, figures/ stays")
+    parser.add_argument(
+        "--force", action="store_true", help="run chapters also where nothing has changed since the last"
+    )
     parser.add_argument("--redraw", action="store_true", help="replace committed figures also where their data agree")
     parser.add_argument("--site", action="store_true", help="build the HTML book in build/site afterwards")
+    parser.add_argument(
+        "--record-seconds", action="store_true", help="commit what the chapters took, for the time left of later builds"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run it; returns 1 when a chapter failed."""
-    from tqdm import tqdm
+    from grindvision_book.one_at_a_time import only_build
+    from grindvision_book.places import BUILD
 
+    with only_build(BUILD):
+        return _build(options)
+
+
+def _build(options: argparse.Namespace) -> int:
     from grindvision_book.answers import scoreboard, summary
-    from grindvision_book.chapters import Outcome, chosen, rebuild
+    from grindvision_book.chapters import chapters, chosen
     from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
+    from grindvision_book.progress import Progress
     from grindvision_book.publishing import told
+    from grindvision_book.reading import ReadingPage, titles
+    from grindvision_book.rebuilding import rebuild
+    from grindvision_book.schedule import record_seconds
 
     figures = FAST_FIGURES if options.fast else FIGURES
-    total = len(chosen(options.only))
-    with tqdm(total=total, desc="chapters", unit="chapter", file=sys.stderr, dynamic_ncols=True) as bar:
-
-        def report(outcome: Outcome) -> None:
-            bar.set_postfix_str(outcome.chapter, refresh=False)
-            bar.update()
-
-        outcomes = rebuild(options.only, fast=options.fast, report=report, redraw=options.redraw)
-    for outcome in outcomes:
-        print(outcome)
+    chosen(options.only)
+    page = ReadingPage(BUILD / "reading", titles(chapters()))
+    print(f"Read while it is being built: {page.address}", flush=True)
+    with Progress(page, options.fast) as progress:
+        outcomes = rebuild(
+            options.only, fast=options.fast, watcher=progress, redraw=options.redraw, force=options.force
+        )
     if not options.fast:
         print("", *told([file for outcome in outcomes for file in outcome.published]), sep="\n")
 
@@ -41,13 +54,17 @@ def run(options: argparse.Namespace) -> int:
     shown = table[["item", "quantity", "unit", "paper", "rebuilt", "tolerance", "verdict"]]
     print("\n" + shown.to_string(index=False, na_rep="", float_format="{:.4g}".format, max_colwidth=60))
     print(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}")
+    site = None
     if options.site:
         from grindvision_book.site import build_site
 
-        page = build_site(BUILD / "fast" if options.fast else BUILD, figures)
-        print(f"HTML book: {page}")
+        site = build_site(BUILD / "fast" if options.fast else BUILD, figures)
+        print(f"HTML book: {site}")
+    page.ended(site)
 
     failed = [outcome for outcome in outcomes if outcome.failure]
     for outcome in failed:
         print(f"grindvision book: {outcome}", file=sys.stderr)
+    if options.record_seconds:
+        record_seconds({o.chapter[:2]: o.seconds for o in outcomes if not o.failure}, options.fast)
     return 1 if failed else 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import re
 import shutil
 import sys
@@ -11,7 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from grindvision.errors import GrindvisionError
+from grindvision.files import sha256, write_json
 from grindvision_book.answers import write_scoreboard
+from grindvision_book.kept import installed
 from grindvision_book.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
 from grindvision_book.site.findings import findings_page
@@ -60,7 +64,7 @@ def build_site(
     scenes: Sequence[Scene] = SCENES,
     reference: bool = True,
 ) -> Path:
-    """Build the pages and return the path of the first one.
+    """Build the pages and return the path of the first one; pages whose sources have not changed stay as they are.
 
     Args:
         build: working folder with ``executed``; a chapter that has no executed copy there is shown without outputs.
@@ -73,10 +77,12 @@ def build_site(
     Raises:
         GrindvisionError: Sphinx cannot build them; the message has its reason.
     """
-    from sphinx.application import Sphinx
-    from sphinx.errors import SphinxError
-    from sphinx.util.console import nocolor
-
+    record, inputs = (
+        site.with_name(f"{site.name}_made.json"),
+        _inputs(build / "executed", figures, notebooks, f"{[scene.name for scene in scenes]} {reference}"),
+    )
+    if _read_record(record) == {"inputs": inputs, "pages": _digest_of(site)}:
+        return site / "index.html"
     sources, extra = build / "site_sources", build / "site_extra"
     shutil.rmtree(extra, ignore_errors=True)
     light = _gather(sources, build / "executed", figures, notebooks, scenes)
@@ -87,17 +93,31 @@ def build_site(
     if reference:
         write_reference(sources / "api")
     _write_index(sources, light)
+    unfinished = site.with_name(f".{site.name}-unfinished")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    _run_sphinx(sources, build / "doctrees", unfinished, [str(extra)] if scenes else [])
+    record.unlink(missing_ok=True)
+    shutil.rmtree(site, ignore_errors=True)
+    unfinished.rename(site)
+    write_json(record, {"inputs": inputs, "pages": _digest_of(site)})
+    return site / "index.html"
+
+
+def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) -> None:
+    from sphinx.application import Sphinx
+    from sphinx.errors import SphinxError
+    from sphinx.util.console import nocolor
+
     nocolor()
     complaints = io.StringIO()
-    shutil.rmtree(site, ignore_errors=True)
     try:
         app = Sphinx(
             srcdir=sources,
             confdir=SOURCES,
-            outdir=site,
-            doctreedir=build / "doctrees",
+            outdir=pages,
+            doctreedir=doctrees,
             buildername="html",
-            confoverrides={"html_extra_path": [str(extra)] if scenes else []},
+            confoverrides={"html_extra_path": extra},
             status=None,
             warning=complaints,
             freshenv=True,
@@ -110,7 +130,30 @@ def build_site(
         raise GrindvisionError(f"the HTML book cannot be built: {error}") from None
     if complaints.getvalue():
         print(complaints.getvalue(), file=sys.stderr, end="")
-    return site / "index.html"
+
+
+def _inputs(executed: Path, figures: Path, notebooks: Path, asked: str) -> str:
+    """One hash of everything that the pages are made of; the sources of the package for its reference."""
+    folders = [executed, figures, FIGURES, notebooks, SOURCES, ROOT / "grindvision", ROOT / "grindvision_book"]
+    files = [ROOT / page for page in ("README.md", *_TEXTS, *_LINKED)]
+    parts = [_digest_of(folder) for folder in folders] + [sha256(file) for file in files if file.exists()]
+    return hashlib.sha256("\n".join([installed(), asked, *parts]).encode()).hexdigest()
+
+
+def _digest_of(folder: Path) -> str:
+    """One hash of the files of a folder and their names, but not of what Python compiles there."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts and ".ipynb_checkpoints" not in path.parts:
+            digest.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
+    return digest.hexdigest()
+
+
+def _read_record(record: Path) -> object:
+    try:
+        return json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> dict[str, str]:

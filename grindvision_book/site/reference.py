@@ -8,7 +8,7 @@ from pathlib import Path
 from grindvision_book.places import ROOT
 
 PACKAGE = ROOT / "grindvision"
-ROOMS = ("geometry", "arm", "vision", "calibration", "motion", "cell", "paper", "book")
+ROOMS = ("geometry", "arm", "vision", "calibration", "motion", "cell", "paper")
 
 _HEAD = (
     "# The package\n\n"
@@ -31,12 +31,12 @@ def write_reference(folder: Path) -> None:
 
 def _room_page(room: str) -> str:
     parts = [f"# grindvision.{room}\n", _summary(PACKAGE / room / "__init__.py") + "\n"]
-    for module in sorted((PACKAGE / room).glob("*.py")):
+    for module in sorted((PACKAGE / room).rglob("*.py")):
+        inner = module.relative_to(PACKAGE / room).with_suffix("").parts
         if module.stem.startswith("_"):
             continue
-        name = f"grindvision.{room}.{module.stem}"
-        parts.append(f"## {module.stem}\n")
-        parts.append(f"```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n```\n")
+        parts.append(f"## {'.'.join(inner)}\n")
+        parts.append(f"```{{eval-rst}}\n.. automodule:: grindvision.{room}.{'.'.join(inner)}\n   :members:\n```\n")
     return "\n".join(parts)
 
 
