@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import re
 import shutil
@@ -23,7 +24,7 @@ from pathlib import Path
 
 from grindvision import paper
 from grindvision.files import sha256, write_json
-from grindvision_book.dependencies import modules_of_notebook, source_of
+from grindvision_book.dependencies import modules_of, modules_of_notebook, source_of
 from grindvision_book.places import FIGURES, ROOT
 
 FORMAT = 1
@@ -77,13 +78,19 @@ def parts_of(number: str, notebook: Path, environment: Mapping[str, str], answer
         if (FIGURES / f"{race}.csv").is_file():
             parts[f"race {race}"] = sha256(FIGURES / f"{race}.csv")
     parts |= _data(number if answers is None else "")
-    settings = {
-        name: value for name, value in environment.items() if name.startswith(_SETTINGS) and not _NO_MATTER.match(name)
-    }
-    parts["settings"] = _digest(json.dumps(settings, sort_keys=True).encode())
+    parts["settings"] = _settings(environment)
     for path in sorted(answers.glob("answers_[0-9][0-9].csv")) if answers else ():
         parts[path.stem] = sha256(path)
     return parts
+
+
+@cache
+def study_inputs(module: str) -> str:
+    """One hash of what the rows of a study depend on beside its cases: code, data, libraries and settings."""
+    parts = {name: sha256(path) for name in modules_of(module) if (path := source_of(name)) is not None}
+    parts |= {name: value for name, value in _data("").items() if name != "data expected.csv"}
+    parts |= {"installed packages": installed(), "settings": _settings(os.environ)}
+    return _digest(json.dumps(parts, sort_keys=True).encode())
 
 
 def find(kept: Path, number: str, parts: Parts) -> tuple[Entry | None, str]:
@@ -155,6 +162,14 @@ def _data(number: str) -> Parts:
             else:
                 parts[name] = _digest(f"{parts.get(name, '')}{sha256(path)}".encode())
     return parts
+
+
+def _settings(environment: Mapping[str, str]) -> str:
+    """One hash of the settings of a process that may change a number."""
+    counting = {
+        name: value for name, value in environment.items() if name.startswith(_SETTINGS) and not _NO_MATTER.match(name)
+    }
+    return _digest(json.dumps(counting, sort_keys=True).encode())
 
 
 @cache

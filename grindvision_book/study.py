@@ -4,17 +4,18 @@
     rows = run_study(measure, cases, seed=8, results="study.csv")                   # ... and resume after a crash
     rows = run_study(measure, cases, seed=8, results="study.csv", scheduler="tcp://host:8786")  # a Dask cluster
 
-The random stream of a case depends on the study's seed and the case's number alone, so rows do not depend on order,
-worker or machine, and one row can be made again alone: ``measure(rng=case_rng(seed, case), **parameters)``.
+The random stream of a case depends on the study's seed and the case's number alone, and its numerical libraries get one
+thread wherever it runs, so rows do not depend on order, worker or machine, and one row can be made again alone:
+``measure(rng=case_rng(seed, case), **parameters)``.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -23,17 +24,16 @@ import numpy as np
 
 import grindvision
 import grindvision_book
-from grindvision.errors import GrindvisionError, InputError
-from grindvision_book.study_rows import OWN_COLUMNS, RowsFile, as_text
+from grindvision.errors import FileError, GrindvisionError, InputError
+from grindvision_book.dependencies import PACKAGES, modules_of, source_of
+from grindvision_book.study_cluster import on_cluster
+from grindvision_book.study_rows import OWN_COLUMNS, BusyError, RowsFile, as_text
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: A case: ``measure(rng=..., **parameters)`` gives named numbers, texts or booleans, and nothing else happens.
 Measure = Callable[..., Mapping[str, Any]]
-
-#: Cases handed to the cluster at a time: enough for a thousand cores, few enough for its scheduler's memory.
-IN_FLIGHT = 2000
 
 
 def run_study(
@@ -57,7 +57,8 @@ def run_study(
             numbers, so that they can be compared in pairs; without it every case has its own.
         seed: of the study.
         results: CSV file that rows stream to, in any order while running, sorted at the end. If it holds rows of the
-            same study already, only missing cases run.
+            same study already, only missing cases run. While the book is being built, rows of our own measures that
+            are given no file are kept in ``build/studies`` in the same way.
         scheduler: address of a Dask scheduler, ``tcp://host:port``; by default joblib uses this machine. Lost
             workers cost their unfinished cases a second run, nothing more.
         jobs: processes on this machine, -1 for all cores.
@@ -65,17 +66,21 @@ def run_study(
 
     Raises:
         InputError: no cases, a repeated case number, a reserved name, a results file of another study (other seed,
-            parameters or code), a worker with other code, a scheduler that does not answer.
+            parameters or code), a worker with other code (one that joins later too), a scheduler that does not answer
+            or is lost.
         FileError: the results file is damaged, locked by another run, or cannot be written.
     """
     from tqdm import tqdm
 
-    parameters, code = _parameters(cases), code_fingerprint()
-    with TemporaryDirectory() as scratch, RowsFile(Path(results or Path(scratch, "rows.csv"))) as rows:
+    parameters, code = _parameters(cases), code_fingerprint(measure.__module__)
+    path = Path(results) if results else _kept_rows(measure, cases, seed)
+    with TemporaryDirectory() as scratch, RowsFile(path or Path(scratch, "rows.csv")) as rows:
         done = _finished(rows, parameters, seed, code)
         missing = {case: values for case, values in parameters.items() if case not in done}
         finished = (
-            _on_cluster(measure, missing, seed, code, scheduler) if scheduler else _here(measure, missing, seed, jobs)
+            on_cluster(_measured, measure, missing, seed, scheduler)
+            if scheduler
+            else _here(measure, missing, seed, jobs)
         )
         bar = tqdm(
             total=len(parameters), initial=len(done), unit="case", disable=None if progress is None else not progress
@@ -92,14 +97,37 @@ def case_rng(seed: int, stream: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
 
 
-def code_fingerprint() -> str:
-    """Twelve hexadecimal digits that name the state of the package's and the book's code."""
+def code_fingerprint(module: str = "") -> str:
+    """Twelve hexadecimal digits that name the state of our code: of a module and all it imports, else of everything."""
     digest = hashlib.sha256()
-    for package in (grindvision, grindvision_book):
-        root = Path(package.__file__).resolve().parent
-        for path in sorted(root.rglob("*.py")):
-            digest.update(path.relative_to(root.parent).as_posix().encode() + b"\0" + path.read_bytes())
+    if module.split(".")[0] in PACKAGES:
+        sources = {name: source_of(name) for name in modules_of(module)}
+    else:
+        roots = (Path(package.__file__).resolve().parent for package in (grindvision, grindvision_book))
+        sources = {path.relative_to(root.parent).as_posix(): path for root in roots for path in root.rglob("*.py")}
+    for name, path in sorted(sources.items()):
+        digest.update(name.encode() + b"\0" + (path.read_bytes() if path else b""))
     return digest.hexdigest()[:12]
+
+
+def _kept_rows(measure: Measure, cases: pd.DataFrame, seed: int) -> Path | None:
+    """Where a build of the book keeps the rows: one file for the same code, data, libraries, cases and seed."""
+    folder = os.environ.get("GRINDVISION_STUDIES")
+    if not folder or measure.__module__.split(".")[0] not in PACKAGES:
+        return None
+    from grindvision_book.kept import study_inputs
+
+    asked = f"{study_inputs(measure.__module__)} {seed} {cases.to_csv(index=False)}"
+    name = f"{measure.__name__}-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.csv"
+    path = Path(folder, name)
+    try:
+        with RowsFile(path):
+            return path
+    except BusyError:
+        raise
+    except FileError:
+        path.unlink(missing_ok=True)  # damaged: its cases are measured again
+        return path
 
 
 def _parameters(cases: pd.DataFrame) -> dict[int, dict[str, Any]]:
@@ -135,14 +163,22 @@ def _finished(rows: RowsFile, parameters: dict[int, dict[str, Any]], seed: int, 
 
 def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int) -> dict[str, Any]:
     """One row: runs on a worker."""
+    import numba
+    from threadpoolctl import threadpool_limits
+
     row = {"case": case, **parameters}
     given = {name: value for name, value in parameters.items() if name != "stream"}
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
     try:
-        values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
+        with threadpool_limits(1):
+            values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
     except GrindvisionError as error:
         return {**row, "error": " ".join(f"{type(error).__name__}: {error}".split())}
     except Exception as error:
         raise RuntimeError(f"case {case} with {parameters} raised {type(error).__name__}: {error}") from error
+    finally:
+        numba.set_num_threads(threads)
     clash = [name for name in values if name in row or name in OWN_COLUMNS]
     if clash:
         raise RuntimeError(f"case {case}: result {clash[0]!r} is named like a parameter or a reserved column")
@@ -157,27 +193,3 @@ def _here(measure: Measure, missing: dict[int, dict[str, Any]], seed: int, jobs:
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         parallel = Parallel(return_as="generator_unordered")
         yield from parallel(delayed(_measured)(measure, case, values, seed) for case, values in missing.items())
-
-
-def _on_cluster(
-    measure: Measure, missing: dict[int, dict[str, Any]], seed: int, code: str, scheduler: str
-) -> Iterator[dict[str, Any]]:
-    from distributed import Client, as_completed
-
-    try:
-        client = Client(scheduler, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(
-            f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler`"
-        ) from None
-    with client:
-        for worker, other in client.run(code_fingerprint).items():
-            if other != code:
-                raise InputError(
-                    f"worker {worker} has grindvision code {other}, here it is {code}; install the same there"
-                )
-        tasks = (client.submit(_measured, measure, case, values, seed, pure=False) for case, values in missing.items())
-        running = as_completed(islice(tasks, IN_FLIGHT), loop=client.loop, with_results=True)
-        for _, row in running:
-            yield row
-            running.update(islice(tasks, 1))

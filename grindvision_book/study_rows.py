@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 OWN_COLUMNS = ("case", "seed", "code", "error")
 
 
+class BusyError(FileError):
+    """Another run holds a file of results."""
+
+
 class RowsFile:
     """One line per finished case, on disk as soon as ``append`` returns; a context that one run at a time may hold.
 
@@ -82,7 +86,7 @@ class RowsFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._file.close()
-            raise FileError(f"{self.path}: another run is writing to this file; wait for it or stop it") from None
+            raise BusyError(f"{self.path}: another run is writing to this file; wait for it or stop it") from None
 
     def _load(self) -> None:
         whole = self.path.read_bytes()

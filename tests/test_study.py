@@ -1,6 +1,7 @@
 """Studies: the same rows whatever the order, the worker or the interruption; no case lost, none counted twice."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError
 from grindvision_book.designs import one_at_a_time, rank_sensitivity, space_filling
+from grindvision_book.places import ROOT
 from grindvision_book.study import case_rng, run_study
 from grindvision_book.study_rows import RowsFile
 
@@ -205,6 +207,126 @@ def test_a_killed_worker_loses_no_case_and_doubles_none(cluster, tmp_path):
     assert set(rows["process"]) == {workers[0].pid, workers[1].pid} and finished_at_kill[0] < 60
     here = run_study(draw, cases, seed=3, jobs=1)
     assert rows["value"].tolist() == here["value"].tolist()
+
+
+def test_rows_from_a_cluster_are_those_of_this_machine_to_the_byte(cluster, tmp_path):
+    import numba
+
+    scheduler, _ = cluster
+    cases = pd.DataFrame({"size": [300, 400, 500, 600]})
+
+    def sums(rng, size):
+        import numpy
+        from numba import get_num_threads
+        from threadpoolctl import threadpool_info
+
+        matrix = rng.standard_normal((size, size))
+        threads = max([get_num_threads(), *(pool["num_threads"] for pool in threadpool_info())])
+        return {"value": float((matrix @ matrix @ numpy.linalg.inv(matrix)).sum()), "threads": threads}
+
+    before = numba.get_num_threads()
+    for name, options in (("here", {"jobs": 1}), ("pool", {"jobs": 2}), ("cluster", {"scheduler": scheduler})):
+        rows = run_study(sums, cases, seed=3, results=tmp_path / f"{name}.csv", **options)
+        assert (rows["threads"] == 1).all(), name
+    assert (tmp_path / "here.csv").read_bytes() == (tmp_path / "pool.csv").read_bytes()
+    assert (tmp_path / "here.csv").read_bytes() == (tmp_path / "cluster.csv").read_bytes()
+    assert numba.get_num_threads() == before
+
+
+def test_a_lost_scheduler_is_told_and_no_row_is_lost(cluster, tmp_path):
+    import dask
+
+    scheduler, _ = cluster
+    path, cases = tmp_path / "rows.csv", pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
+
+    def slow(rng, scale, label):
+        time.sleep(0.05)
+        return {"value": scale * rng.standard_normal()}
+
+    def kill_the_scheduler_in_the_middle():
+        while not path.exists() or path.read_bytes().count(b"\n") < 10:
+            time.sleep(0.01)
+        subprocess.run(["kill", "-9", str(scheduler_process(scheduler))], check=True)
+
+    threading.Thread(target=kill_the_scheduler_in_the_middle, daemon=True).start()
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(InputError, match=r"scheduler at tcp://.* was lost; finished rows are in the results file"),
+    ):
+        run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
+    found = pd.read_csv(path)
+    assert 9 <= len(found) < 60 and found["error"].isna().all() and found["value"].notna().all()
+    assert len(run_study(slow, cases, seed=3, results=path, jobs=2)) == 60
+
+
+def scheduler_process(address: str) -> int:
+    """The process that listens at a Dask address."""
+    import psutil
+
+    port = int(address.rsplit(":", 1)[1])
+    ours = psutil.Process().children(recursive=True)
+    return next(p.pid for p in ours if any(c.laddr.port == port and c.status == "LISTEN" for c in p.net_connections()))
+
+
+def test_a_worker_with_other_code_is_refused_when_it_joins_later_too(cluster, tmp_path):
+    scheduler, _ = cluster
+    other = tmp_path / "other"
+    for package in ("grindvision", "grindvision_book"):
+        shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__", "site_sources"))
+    (other / "pyproject.toml").write_text("")
+    (other / "data").symlink_to(ROOT / "data")
+    with open(other / "grindvision_book" / "designs.py", "a") as file:
+        file.write("# changed\n")
+    path, cases = tmp_path / "rows.csv", pd.DataFrame({"scale": np.linspace(1.0, 2.0, 200), "label": "a"})
+    joined = []
+
+    def slow(rng, scale, label):
+        time.sleep(0.05)
+        return {"value": scale * rng.standard_normal()}
+
+    def join_in_the_middle():
+        while not path.exists() or path.read_bytes().count(b"\n") < 5:
+            time.sleep(0.01)
+        words = [sys.executable, "-m", "dask", "worker", scheduler, "--no-nanny", "--no-dashboard", "--nthreads", "1"]
+        log = open(tmp_path / "late.log", "w")  # noqa: SIM115
+        environment = {**os.environ, "PYTHONPATH": str(other)}
+        joined.append(subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=log, stderr=log))
+
+    threading.Thread(target=join_in_the_middle, daemon=True).start()
+    try:
+        with pytest.raises(InputError, match=r"worker tcp://\S+ has grindvision code \w{12}, here it is \w{12}"):
+            run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
+        with pytest.raises(InputError, match=r"worker tcp://\S+ has grindvision code"):
+            run_study(slow, cases, seed=3, results=tmp_path / "again.csv", scheduler=scheduler)
+    finally:
+        for process in joined:
+            process.kill()
+            process.wait()
+
+
+def test_a_build_of_the_book_keeps_the_rows_of_its_studies(tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setenv("GRINDVISION_STUDIES", str(tmp_path))
+
+    def kept(rng, scale, label):
+        calls.append(label)
+        return draw(rng, scale, label)
+
+    kept.__module__ = "grindvision_book.designs"
+    first = run_study(kept, CASES, seed=3, jobs=1)
+    (path,) = tmp_path.iterdir()
+    torn = path.read_bytes()[:-30]
+    path.write_bytes(torn)
+    pd.testing.assert_frame_equal(run_study(kept, CASES, seed=3, jobs=1), first)
+    assert len(calls) == len(CASES) + 1
+    path.write_text("damaged\nfrom the start\n")
+    pd.testing.assert_frame_equal(run_study(kept, CASES, seed=3, jobs=1), first)
+    assert len(calls) == 2 * len(CASES) + 1
+    run_study(kept, CASES, seed=4, jobs=1)
+    run_study(kept, CASES.iloc[:2], seed=3, jobs=1)
+    assert len(list(tmp_path.iterdir())) == 3
+    run_study(draw, CASES, seed=3, jobs=1)
+    assert len(list(tmp_path.iterdir())) == 3, "a measure that is not the book's own is not kept"
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
