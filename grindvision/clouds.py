@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,10 +22,11 @@ from grindvision.formats.meshes import read_obj, read_stl
 from grindvision.formats.pcd import read_pcd
 from grindvision.formats.ply import read_ply
 from grindvision.formats.tables import read_table
+from grindvision.input_files import bytes_left, open_input
 
 Floats = NDArray[np.float64]
 
-READERS: dict[str, Callable[[Path], Content]] = {
+READERS: dict[str, Callable[[Path, BinaryIO], Content]] = {
     ".ply": read_ply,
     ".pcd": read_pcd,
     **dict.fromkeys((".xyz", ".asc", ".txt", ".pts", ".csv"), read_table),
@@ -94,14 +96,10 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise FileError(f"{path}: format {path.suffix or '(none)'} is not read; use one of {', '.join(READERS)}")
-    try:
-        if not path.is_file():
-            raise FileError(f"{path}: {'a folder, not a file' if path.is_dir() else 'no such file'}; check the path")
-        if path.stat().st_size == 0:
+    with open_input(path) as file:
+        if bytes_left(file) == 0:
             raise FileError(f"{path}: the file is empty; export the cloud again")
-        content = reader(path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the file and its rights") from None
+        content = reader(path, file)
     if len(content.points) == 0:
         raise FileError(f"{path}: no points in the file; export the cloud again")
     if None not in (unit, content.unit) and unit != content.unit:

@@ -1,8 +1,16 @@
 """Every error this package raises on purpose: its message names what was wrong, the value seen, and what to do."""
 
+import re
+
+#: Characters of a word (a path, a quoted value) and of a whole message; what is longer loses its middle.
+LONGEST_WORD, LONGEST_MESSAGE = 200, 1000
+
 
 class GrindvisionError(Exception):
     """Base of all errors of this package. The command line turns it into one line on stderr and exit code 2."""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*(clipped(one) if isinstance(one, str) else one for one in arguments))
 
 
 class GrindvisionWarning(UserWarning):
@@ -59,3 +67,22 @@ class NoGrooveError(GrindvisionError):
 
 class MissingExtraError(GrindvisionError, ImportError):
     """A package of one of grindvision's extras is not installed; the message holds the ``pip install`` line."""
+
+
+def clipped(text: str) -> str:
+    """A message whose long words, and the whole where it is long, have lost their middle: names may be a megabyte."""
+    text = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: _without_middle(word[0], LONGEST_WORD), text)
+    return _without_middle(text, LONGEST_MESSAGE)
+
+
+def one_line(text: str) -> str:
+    """A message on one line that any terminal can show: blanks for line breaks, escapes for what cannot be printed."""
+    words = " ".join(clipped(text).split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in words)
+
+
+def _without_middle(text: str, most: int) -> str:
+    if len(text) <= most:
+        return text
+    head = (most - 3) * 3 // 5
+    return f"{text[:head]}...{text[head + 3 - most :]}"

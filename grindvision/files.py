@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import math
 import os
-import shutil
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import FileError
+from grindvision.input_files import open_input, read_input
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Units a column's name may end in besides ours: the other's name and what one of it is in ours.
 UNITS = {"rad": ("deg", math.pi / 180), "mm": ("m", 1000.0)}
-LARGEST_SETTINGS = 1_000_000
+#: Bytes of files that people write: settings, poses; tables of measurements.
+LARGEST_SETTINGS, LARGEST_TABLE = 1_000_000, 200_000_000
+
+#: How the name of a file that is being written begins.
+UNFINISHED = ".grindvision-"
 
 
 @contextmanager
@@ -38,7 +43,7 @@ def write_whole(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f"{UNFINISHED}{path.stem}-", suffix=path.suffix, dir=path.parent)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror}; choose a folder you may write to") from None
     os.close(handle)
@@ -70,66 +75,13 @@ def writable_folder(path: str | Path) -> Path:
         raise FileError(f"cannot write to {path}: {error.strerror}; choose a folder you may write to") from None
 
 
-@contextmanager
-def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> Iterator[Path]:
-    """Yield an empty folder; when the block succeeds its files move into ``folder``, when not nothing is left of them.
-
-    Args:
-        folder: made when it does not exist, and removed again when the block fails.
-        last: the file that moves last: where it stands, the set is complete.
-        outdated: names, with wildcards, of files that an earlier set may have left and this one has not.
-
-    Raises:
-        FileError: the folder cannot be made or written to, before the block; or a file cannot be put in place.
-    """
-    folder = Path(folder)
-    new = [parent for parent in (folder, *folder.parents) if not parent.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(prefix=".grindvision-", dir=folder))
-    except OSError as error:
-        _remove_empty(new)
-        raise FileError(f"cannot write to {folder}: {error.strerror}; choose a folder you may write to") from None
-    try:
-        yield place
-        _move_files(place, folder, last, outdated)
-    except FileError as error:
-        raise FileError(str(error).replace(f"{place}{os.sep}", f"{folder}{os.sep}")) from None
-    except OSError as error:
-        raise FileError(
-            f"cannot write to {folder}: {error.strerror or error}; free space or choose another folder"
-        ) from None
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-        _remove_empty(new)
-
-
-def _move_files(place: Path, folder: Path, last: str, outdated: Sequence[str]) -> None:
-    files = sorted((path for path in place.rglob("*") if path.is_file()), key=lambda path: path.name == last)
-    names = [path.relative_to(place) for path in files]
-    blocked = next((folder / name for name in names if (folder / name).is_dir()), None)
-    if blocked is not None:
-        raise FileError(f"cannot write {blocked}: it is a folder; remove it or choose another place")
-    (folder / last).unlink(missing_ok=True)
-    for pattern in outdated:
-        for old in folder.glob(pattern):
-            if old.is_file():
-                old.unlink()
-    for path, name in zip(files, names, strict=True):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(path, folder / name)
-
-
-def _remove_empty(folders: Sequence[Path]) -> None:
-    for folder in folders:
-        with suppress(OSError):
-            folder.rmdir()
-
-
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, whole or not at all."""
+    """Write ``text`` as UTF-8, whole or not at all.
+
+    Bytes of a file's name that are no UTF-8 become ``\\udc80`` to ``\\udcff``, which JSON reads back as the same name.
+    """
     with write_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def write_json(path: str | Path, content: Any) -> None:
@@ -153,8 +105,12 @@ def plain(value: Any) -> Any:
 
 
 def sha256(path: str | Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
-    with open(path, "rb") as file:
+    """Hexadecimal SHA-256 of a file's bytes.
+
+    Raises:
+        FileError: see ``open_input``.
+    """
+    with open_input(path) as file:
         digest = hashlib.sha256()
         while block := file.read(1 << 20):
             digest.update(block)
@@ -221,7 +177,7 @@ def read_json(path: str | Path) -> Any:
     Raises:
         FileError: missing, too large to be meant, or no JSON.
     """
-    return _read_small(Path(path), json.loads, "JSON")
+    return _read_small(Path(path), lambda text: json.loads(text, parse_int=_number), "JSON")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -237,13 +193,15 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     return _read_small(Path(path), tomllib.loads, "TOML")
 
 
+def _number(digits: str) -> int | float:
+    """A whole number of a file; as a float, infinite at last, where it is longer than any that is meant."""
+    return int(digits) if len(digits) < 20 else float(digits)
+
+
 def _read_small(path: Path, parse: Callable[[str], Any], kind: str) -> Any:
+    text = read_input(path, LARGEST_SETTINGS, kind)
     try:
-        if path.stat().st_size > LARGEST_SETTINGS:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; a {kind} file of this kind is small, check the path")
-        return parse(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
+        return parse(text.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:120]
         raise FileError(f"{path}: not a readable {kind} file ({reason}); mend it or write it again") from None
@@ -253,9 +211,10 @@ def _text_table(path: Path) -> pd.DataFrame:
     """A CSV as it stands, numbers where a whole column holds nothing else."""
     import pandas as pd
 
+    data = read_input(path, LARGEST_TABLE, "CSV")
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            head = next((line for line in file if line.strip() and not line.startswith("#")), "")
+        lines = io.StringIO(data.decode("utf-8-sig"), newline="")
+        head = next((line for line in lines if line.strip() and not line.startswith("#")), "")
         blank = " " if " " in head.strip() else ","
         separator = max((mark for mark in ",;\t" if mark in head), key=head.count, default=blank)
         first = csv.reader([head.strip(" \n")], delimiter=separator, skipinitialspace=True)
@@ -263,7 +222,7 @@ def _text_table(path: Path) -> pd.DataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
-                path,
+                io.BytesIO(data),
                 sep=r"\s+" if separator == " " else separator,
                 decimal="." if separator == "," else ",",
                 encoding="utf-8-sig",
@@ -271,11 +230,9 @@ def _text_table(path: Path) -> pd.DataFrame:
                 index_col=False,
                 comment="#",
             )
-    except FileNotFoundError:
-        raise FileError(f"{path}: no such file; check the path") from None
     except pd.errors.ParserWarning:
         raise FileError(f"{path}: rows have more columns than the first line names; mend the file") from None
-    except (OSError, ValueError, csv.Error, MemoryError) as error:
+    except (ValueError, csv.Error, MemoryError, OverflowError) as error:
         raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())[:200]})") from None
     if pd.to_numeric(pd.Series(names, dtype=object), errors="coerce").notna().mean() > 0.5:
         raise FileError(f"{path}: the first line holds numbers; write the columns' names above it, without #")

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import glob
 import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from grindvision.errors import FileError, InputError
-from grindvision.files import write_text
+from grindvision.files import UNFINISHED, write_text
+from grindvision.input_files import check_output_file, open_input
 
 if TYPE_CHECKING:
     import pandas as pd
+
+#: Bytes in which the line of names ends.
+LONGEST_HEADER = 100_000
 
 #: Columns that every row has beside its parameters and results.
 OWN_COLUMNS = ("case", "seed", "code", "error")
@@ -41,6 +46,8 @@ class RowsFile:
 
     def __enter__(self) -> RowsFile:
         self._open()
+        for left in self.path.parent.glob(f"{UNFINISHED}{glob.escape(self.path.stem)}-*{self.path.suffix}"):
+            left.unlink(missing_ok=True)  # of a run that was killed while it sorted the rows
         try:
             self._load()
         except BaseException:
@@ -77,6 +84,7 @@ class RowsFile:
         return texts.apply(lambda column: column if column.name in ("code", "error") else _from_text(column))
 
     def _open(self) -> None:
+        check_output_file(self.path)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(self.path, "a", encoding="utf-8", newline="")  # noqa: SIM115
@@ -89,7 +97,12 @@ class RowsFile:
             raise BusyError(f"{self.path}: another run is writing to this file; wait for it or stop it") from None
 
     def _load(self) -> None:
-        whole = self.path.read_bytes()
+        with open_input(self.path) as file:
+            first = file.read(LONGEST_HEADER)
+            torn = first.startswith(b"case") or b"case".startswith(first)  # by a crash, in the line of names
+            if not torn and b"\n" not in first:
+                raise FileError(f"{self.path}: not a study's results; choose another file")
+            whole = first + file.read()
         kept = whole[: whole.rfind(b"\n") + 1]
         try:
             lines = list(csv.reader(io.StringIO(kept.decode("utf-8"), newline=""), strict=True))

@@ -28,8 +28,8 @@ from grindvision.arm import write_arm
 from grindvision.cli import detect_picture, groove_picture, main
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.errors import GrindvisionError
-from grindvision.files import write_set
 from grindvision.geometry import move_points
+from grindvision.result_set import LOCK, write_set
 from tests.calibration_rig import er3a, rig
 from tests.test_calibration_input import as_table
 
@@ -469,7 +469,7 @@ def test_a_run_that_breaks_off_changes_nothing(good, tmp_path, monkeypatch, capf
     before = entries(out)
     code = main(["groove", str(good / "a.ply"), "-o", str(out)])
     said = capfd.readouterr().err
-    assert code == (1 if isinstance(error, KeyboardInterrupt) else 2)
+    assert code == (130 if isinstance(error, KeyboardInterrupt) else 2)
     assert said.count("\n") == 1 and "defect" not in said
     assert entries(out) == before
     assert main(["groove", str(good / "a.ply"), "-o", str(tmp_path / "new" / "deep")]) == code
@@ -508,11 +508,12 @@ def test_an_interrupt_in_the_middle(good, tmp_path, number):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
     )  # fmt: skip
     until = time.monotonic() + 60
-    while not list(tmp_path.glob("out/.grindvision-*")) and time.monotonic() < until:
+    while not list(tmp_path.glob("out/.grindvision-*/")) and time.monotonic() < until:
         time.sleep(0.01)
     os.kill(process.pid, number)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 1 and error == b"grindvision detect: interrupted; nothing half-written is left\n"
+    assert error == b"grindvision detect: interrupted; nothing half-written is left\n"
+    assert process.returncode == 128 + number
     assert list(tmp_path.iterdir()) == []
 
 
@@ -531,5 +532,5 @@ def test_a_set_of_files_appears_whole(tmp_path):
         (place / "sub").mkdir()
         (place / "sub" / "a.txt").write_text("a")
         (place / "last.txt").write_text("b")
-        assert [path.name for path in (tmp_path / "out").iterdir()] == [place.name]
+        assert {path.name for path in (tmp_path / "out").iterdir()} == {place.name, LOCK}
     assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.txt")) == ["out/last.txt", "out/sub/a.txt"]

@@ -152,17 +152,17 @@ def test_what_is_written_is_read_back(tmp_path):
 
 def test_a_damaged_file_is_refused_by_name(tmp_path):
     path = tmp_path / "field.npz"
-    with pytest.raises(FileError, match="No such file"):
+    with pytest.raises(FileError, match="no such file"):
         read_field(path)
     learned = calibrate_field(plates(waves), STEPS_MM, FIRST_MM)
     write_field(learned, path)
     whole = path.read_bytes()
     for damaged in (whole[:-200], whole[: len(whole) // 2], b"ply\n", b"", whole[:2000] + b"XXXXXX" + whole[2006:]):
         path.write_bytes(damaged)
-        with pytest.raises(FileError, match=r"field\.npz: not a"):
+        with pytest.raises(FileError, match=r"field\.npz: "):
             read_field(path)
     np.savez(path, points=np.zeros((9, 3)))
-    with pytest.raises(FileError, match="not a readable field correction"):
+    with pytest.raises(FileError, match="no array error_grid_mm"):
         read_field(path)
     for wrong in (
         replace(learned, low=learned.high, high=learned.low),

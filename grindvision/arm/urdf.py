@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from grindvision.arm.mdh import MdhArm
 from grindvision.errors import FileError
 from grindvision.geometry import rigid
+from grindvision.input_files import read_input
 
 Floats = NDArray[np.float64]
 Line = tuple[Floats, Floats]
@@ -107,10 +108,7 @@ def urdf_skeleton(path: str | Path) -> str:
 
 def _robot(path: Path) -> ElementTree.Element:
     """Root element of a URDF file that is sized and nested as a robot description is, and defines no entities."""
-    if not path.is_file():
-        raise FileError(f"{path}: no such file; give the path of a URDF robot description")
-    if path.stat().st_size > LARGEST_URDF:
-        raise FileError(f"{path}: {path.stat().st_size} bytes; a URDF robot description is small, check the path")
+    content = read_input(path, LARGEST_URDF, "URDF")
     depth = 0
 
     def begin(*_: object) -> None:
@@ -129,13 +127,10 @@ def _robot(path: Path) -> ElementTree.Element:
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, no_entities
     try:
-        content = path.read_bytes()
         parser.Parse(content, True)
         robot = ElementTree.fromstring(content)
     except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError) as error:
         raise FileError(f"{path}: not a readable URDF ({error}); export it again") from None
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror}); check the file and its rights") from None
     if robot.tag != "robot":
         raise FileError(f"{path}: not a readable URDF (its root is {robot.tag[:80]!r}, not 'robot'); export it again")
     return robot

@@ -6,17 +6,16 @@ import argparse
 import atexit
 import importlib
 import os
-import signal
 import sys
-import threading
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from typing import NoReturn
 
 from grindvision import __version__
 from grindvision.cli.parameters import with_parameter_file
-from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError
+from grindvision.cli.streams import complain, sound_streams
+from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped
+from grindvision.interrupts import ending_signals_interrupt
 
 COMMANDS = {
     "book": "rebuild chapters, figures and the scoreboard (and the HTML book)",
@@ -30,30 +29,32 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns 0 when done, 2 on bad input (one line on stderr), 1 on anything else."""
+    """Run one command; returns 0 when done, 2 on bad input (one line on stderr), 1 on anything else.
+
+    A run that a signal ends returns 128 and the signal's number.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
+    with sound_streams():
+        return _judged(name, words, own_process=arguments is None)
+
+
+def _judged(name: str, words: list[str], own_process: bool) -> int:
     try:
-        with _termination_interrupts(), warnings.catch_warnings():
+        with ending_signals_interrupt(), warnings.catch_warnings():
             warnings.simplefilter("always", GrindvisionWarning)
             warnings.showwarning = _one_line
-            code = _run(name, words)
-            sys.stdout.flush()
-            return code
+            return _run(name, words)
     except GrindvisionError as error:
-        _forget_output()
         return _failure(name, str(error), 2)
-    except KeyboardInterrupt:
-        if arguments is None:
-            atexit.register(os._exit, 1)  # a tidy end could meet worker threads in compiled code, and abort
-        return _failure(name, "interrupted; nothing half-written is left", 1)
-    except BrokenPipeError:
-        _forget_output()
-        return 1
+    except KeyboardInterrupt as error:
+        code = getattr(error, "exit_code", 130)
+        if own_process:
+            atexit.register(os._exit, code)  # a tidy end could meet worker threads in compiled code, and abort
+        return _failure(name, "interrupted; nothing half-written is left", code)
     except MemoryError:
         return _failure(name, "not enough memory for this input; thin the cloud out or use a larger machine", 2)
     except OSError as error:
-        _forget_output()
         what = f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error)
         return _failure(name, f"{what}; check space, rights and paths", 2)
     except Exception as error:
@@ -90,43 +91,16 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _failure(name: str, message: str, code: int) -> int:
-    line = f"grindvision {name}: {' '.join(message.split())}\n"
-    with suppress(OSError):
-        sys.stderr.write(line)
+    complain(f"grindvision {name}: {message}")
     return code
-
-
-def _forget_output() -> None:
-    """Let Python end without trying once more to write what stdout did not take."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        with suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-@contextmanager
-def _termination_interrupts() -> Iterator[None]:
-    """A request to end (SIGTERM) is treated as an interrupt from the keyboard, so that nothing half-written is left."""
-
-    def interrupt(*_: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; `{self.prog} --help` lists what it takes\n")
+        complain(f"{self.prog}: {clipped(message)}; `{self.prog} --help` lists what it takes")
+        raise SystemExit(2)
 
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     if issubclass(category, GrindvisionWarning):
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+        complain(f"warning: {message}")

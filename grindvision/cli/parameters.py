@@ -77,6 +77,8 @@ def parameters_text(command: str, parameters: Mapping[str, Any], from_the_data: 
     for name, value in parameters.items():
         if value is None:
             lines.append(f"# {name} was not given")
+        elif isinstance(value, str) and _not_utf8(value):
+            lines.append(f"# {name} = {value!a}: this name is no UTF-8; give it on the command line")
         else:
             lines.append(f"{name} = {_toml(value)}")
     if from_the_data:
@@ -127,7 +129,15 @@ def _without_exponent(word: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    return repr(value)[:60]
+    try:
+        return repr(value)[:60]
+    except ValueError:  # Python refuses to write out whole numbers of more than 4300 digits
+        return "a number of thousands of digits"
+
+
+def _not_utf8(text: str) -> bool:
+    """Whether a file's name holds bytes that are no UTF-8, which TOML cannot hold."""
+    return any("\udc80" <= character <= "\udcff" for character in text)
 
 
 def _toml(value: Any) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 from grindvision import __version__
 from grindvision.cli.parameters import NO_PARAMETERS, parameters_text
 from grindvision.cli.progress import Progress
-from grindvision.errors import FileError, GrindvisionWarning
-from grindvision.files import plain, sha256, write_set, write_text
+from grindvision.cli.streams import complain, say
+from grindvision.errors import FileError, GrindvisionWarning, one_line
+from grindvision.files import plain, sha256, write_text
+from grindvision.result_set import write_set
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -37,6 +39,15 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
         " the file before the defaults. What was used is written to DIR/parameters.toml",
     )
     group.add_argument("--json", action="store_true", help="print report.json on stdout, and nothing else")
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    """What changes when a file is written again; None where it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class Run:
@@ -61,6 +72,7 @@ class Run:
         self._stack = ExitStack()
         self._times_s: dict[str, float] = {}
         self._output = ""
+        self._stamps = {path: _stamp(path) for path in self._input_files()}
 
     def __enter__(self) -> Run:
         self._begin = time.perf_counter()
@@ -80,23 +92,32 @@ class Run:
         handled = self._stack.__exit__(kind, error, trace)
         if error is None:
             for text in told:
-                print(f"warning: {text}", file=sys.stderr)
-            try:
-                print(self._output, flush=True)
-            except BrokenPipeError:
-                raise
-            except OSError as failure:
-                place = self._options.output
-                raise FileError(f"{failure.strerror} on stdout; the results stand complete in {place}") from None
+                complain(f"warning: {text}")
+            say(self._output, complete=self._options.output)
         return handled
 
     @property
     def warnings(self) -> list[str]:
         """What the user should know, a line each, in order."""
-        texts = [
-            " ".join(str(one.message).split()) for one in self._caught if issubclass(one.category, GrindvisionWarning)
-        ]
+        texts = [one_line(str(one.message)) for one in self._caught if issubclass(one.category, GrindvisionWarning)]
         return list(dict.fromkeys(texts))
+
+    def _input_files(self) -> list[Path]:
+        """The inputs, and the files that options name."""
+        given = [getattr(self._options, name) for name in self._inputs]
+        given += [value for name, value in vars(self._options).items() if name not in (*NO_PARAMETERS, *self._inputs)]
+        words = [word for one in given for word in (one if isinstance(one, list) else [one]) if isinstance(word, str)]
+        return [Path(word) for word in dict.fromkeys(words) if os.path.isfile(word)]
+
+    def _check_inputs(self) -> None:
+        """Refuse results of inputs that changed meanwhile, or that the results would overwrite."""
+        for path, before in self._stamps.items():
+            if _stamp(path) != before:
+                raise FileError(f"{path}: it changed during the run; wait until it is written, then run again")
+            for made in self.place.rglob(path.name):
+                target = Path(self._options.output) / made.relative_to(self.place)
+                if os.path.exists(target) and os.path.samefile(target, path):
+                    raise FileError(f"{path}: a result would overwrite this input; choose another folder with -o")
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -135,14 +156,13 @@ class Run:
         with self.stage("hash"):
             text = parameters_text(self._options.command, parameters, plain(from_the_data))
             write_text(self.place / PARAMETERS, text)
-            given = [getattr(self._options, name) for name in self._inputs]
-            inputs = [Path(path) for paths in given for path in ([paths] if isinstance(paths, str) else paths)]
-            inputs += [Path(value) for value in parameters.values() if isinstance(value, str) and Path(value).is_file()]
-            hashes = [{"name": path.name, "sha256": sha256(path)} for path in dict.fromkeys(inputs)]
+            hashes = [{"name": path.name, "sha256": sha256(path)} for path in self._stamps]
+            self._check_inputs()
         names = sorted({str(path.relative_to(self.place)) for path in self.place.rglob("*") if path.is_file()})
         names.append(REPORT)
         total = time.perf_counter() - self._begin
         content = {
+            "command": self._options.command,
             "message": message,
             "warnings": self.warnings,
             **results,
@@ -154,6 +174,7 @@ class Run:
             "from_the_data": from_the_data,
             "inputs": hashes,
             "files": names,
+            "outputs": [{"name": name, "sha256": sha256(self.place / name)} for name in names if name != REPORT],
         }
         text = json.dumps(plain(content), indent=2, ensure_ascii=False)
         write_text(self.place / REPORT, text + "\n")

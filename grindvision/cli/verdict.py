@@ -34,5 +34,16 @@ def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[st
     band.set(xticks=[], yticks=[])
     for spine in band.spines.values():
         spine.set_visible(False)
-    band.text(0.012, 1 - 0.08 / height, verdict, transform=band.transAxes, va="top", fontsize=14, fontweight="bold")
-    band.text(0.012, 1 - 0.36 / height, "\n".join(lines), transform=band.transAxes, va="top", fontsize=9.5)
+    band.text(
+        0.012,
+        1 - 0.08 / height,
+        verdict,
+        transform=band.transAxes,
+        va="top",
+        fontsize=14,
+        fontweight="bold",
+        parse_math=False,
+    )
+    band.text(
+        0.012, 1 - 0.36 / height, "\n".join(lines), transform=band.transAxes, va="top", fontsize=9.5, parse_math=False
+    )

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import FileError
 from grindvision.formats.content import Content
-from grindvision.formats.records import numbers
+from grindvision.formats.records import numbers, refuse_binary
+from grindvision.input_files import read_rest
 
 Floats = NDArray[np.float64]
 
 STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+#: What a triangle takes while its mesh is read: its bytes, strings, corners, edges, and the sorting of its vertices.
+MEMORY_PER_MESH_BYTE = 12.0
 
 #: Vertices stand for the surface where edges longer than this share of the diagonal bound little of its area.
 LONG_EDGE, MOST_LONG = 0.02, 0.05
@@ -21,13 +26,13 @@ LONG_EDGE, MOST_LONG = 0.02, 0.05
 SAMPLE_STEP, MOST_SAMPLES = 1 / 700, 1_000_000
 
 
-def read_stl(path: Path) -> Content:
+def read_stl(path: Path, file: BinaryIO) -> Content:
     """Read an STL file, text or binary.
 
     Raises:
         FileError: no STL, or shorter than its header says.
     """
-    data = path.read_bytes()
+    data = read_rest(path, file, MEMORY_PER_MESH_BYTE)
     count = int(np.frombuffer(data[80:84].ljust(4, b"\0"), dtype="<u4")[0])
     if data.lstrip().startswith(b"solid") and len(data) != 84 + 50 * count:
         lines = [line.strip() for line in data.decode("latin-1").splitlines()]
@@ -46,13 +51,14 @@ def read_stl(path: Path) -> Content:
     return _surface(np.frombuffer(data, STL_RECORD, count, 84)["corners"].astype(float))
 
 
-def read_obj(path: Path) -> Content:
+def read_obj(path: Path, file: BinaryIO) -> Content:
     """Read the vertices and faces of an OBJ file; polygons become fans of triangles.
 
     Raises:
         FileError: text among the numbers, or a face of vertices that are not there.
     """
-    lines = path.read_bytes().decode("latin-1").splitlines()
+    refuse_binary(path, file)
+    lines = read_rest(path, file, MEMORY_PER_MESH_BYTE).decode("latin-1").splitlines()
     rows = [" ".join(line.split()[1:4]) for line in lines if line.startswith(("v ", "v\t"))]
     vertices = numbers(path, rows)
     if vertices.shape[1] != 3:
@@ -65,12 +71,12 @@ def read_obj(path: Path) -> Content:
         ]
     except ValueError as error:
         raise FileError(f"{path}: a face is damaged ({error}); export the mesh again") from None
+    if any(index == 0 or abs(index) > len(vertices) for face in faces for index in face):
+        raise FileError(f"{path}: a face names a vertex that is not among the {len(vertices)}; the file is damaged")
     triangles = np.array([(face[0], *face[k : k + 2]) for face in faces for k in range(1, len(face) - 1)], dtype=int)
     if len(triangles) == 0:
         return Content(vertices)
     at = np.where(triangles > 0, triangles - 1, triangles + len(vertices))
-    if at.min() < 0 or at.max() >= len(vertices) or (triangles == 0).any():
-        raise FileError(f"{path}: a face names a vertex that is not among the {len(vertices)}; the file is damaged")
     return _surface(vertices[at], vertices)
 
 

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from grindvision.errors import FileError
 from grindvision.formats.content import Content, Floats, chosen_columns
 from grindvision.formats.records import (
-    bytes_left,
     content_of_records,
     content_of_rows,
+    count_in_header,
     header_lines,
     numbers,
     text_lines,
     too_short,
 )
+from grindvision.input_files import bytes_left, check_memory
 
 #: LZF packs no run tighter than 264 bytes into 3.
 LARGEST_RATIO = 88
@@ -44,23 +45,22 @@ class _Header:
         return self.width * self.height
 
 
-def read_pcd(path: Path) -> Content:
+def read_pcd(path: Path, file: BinaryIO) -> Content:
     """Read a PCD file: x y z and, where it has them, normal_x normal_y normal_z; an organised cloud keeps its grid.
 
     Raises:
         FileError: no PCD, a damaged header, an unknown kind of data, or shorter than its header says.
     """
-    with open(path, "rb") as file:
-        header = _header(path, file)
-        if header.form == "ascii":
-            rows = numbers(path, text_lines(path, file, header.count, len(header.names)))
-            found = content_of_rows(path, rows, header.names)
-        elif header.form == "binary":
-            found = content_of_records(path, file, header.count, header.names, header.kinds)
-        elif header.form == "binary_compressed":
-            found = _compressed(path, file, header)
-        else:
-            raise FileError(f"{path}: PCD data {header.form!r} is unknown; use ascii, binary or binary_compressed")
+    header = _header(path, file)
+    if header.form == "ascii":
+        rows = numbers(path, text_lines(path, file, header.count, len(header.names)))
+        found = content_of_rows(path, rows, header.names)
+    elif header.form == "binary":
+        found = content_of_records(path, file, header.count, header.names, header.kinds)
+    elif header.form == "binary_compressed":
+        found = _compressed(path, file, header)
+    else:
+        raise FileError(f"{path}: PCD data {header.form!r} is unknown; use ascii, binary or binary_compressed")
     grid = (header.height, header.width) if min(header.height, header.width) > 1 else None
     return Content(found.points, found.normals, grid)
 
@@ -70,7 +70,7 @@ def _header(path: Path, file: BinaryIO) -> _Header:
     for words in header_lines(path, file, b"DATA"):
         said[words[0].upper()] = words[1:]
     try:
-        counts = [int(word) for word in said.get("COUNT", ["1"] * len(said["FIELDS"]))]
+        counts = [count_in_header(path, word) for word in said.get("COUNT", ["1"] * len(said["FIELDS"]))]
         if min(counts) < 1 or sum(counts) > MOST_VALUES_PER_POINT:
             raise ValueError
         fields = [
@@ -82,8 +82,9 @@ def _header(path: Path, file: BinaryIO) -> _Header:
             for name, count in zip(said["FIELDS"], counts, strict=True)
             for k in range(count)
         ]
-        width, height, form = int(said["WIDTH"][0]), int(said["HEIGHT"][0]), said["DATA"][0]
-        if min(width, height) < 0 or not all(kind[1] in "fiu" for kind, _ in fields):
+        width, height = (count_in_header(path, said[name][0]) for name in ("WIDTH", "HEIGHT"))
+        form = said["DATA"][0]
+        if not all(kind[1] in "fiu" for kind, _ in fields):
             raise ValueError
     except (KeyError, IndexError, ValueError, TypeError):
         raise FileError(f"{path}: the PCD header is damaged; export the cloud again") from None
@@ -97,10 +98,11 @@ def _compressed(path: Path, file: BinaryIO, header: _Header) -> Content:
     """Unpack; the values stand field by field, not point by point."""
     count = header.count
     packed_size, size = (int(word) for word in np.frombuffer(file.read(8).ljust(8, b"\0"), dtype="<u4"))
-    left = bytes_left(path, file)
+    left = bytes_left(file)
     record = sum(np.dtype(kind).itemsize * number for kind, number in header.fields)
     if size != count * record or packed_size > left or size > LARGEST_RATIO * max(packed_size, 1):
         raise too_short(path, count, f"the file holds {left} packed bytes")
+    check_memory(path, 4.0 * size)
     unpacked = unpack_lzf(np.frombuffer(file.read(packed_size), dtype=np.uint8), size)
     if len(unpacked) != size:
         raise FileError(f"{path}: the packed points cannot be unpacked; the file is damaged, export the cloud again")

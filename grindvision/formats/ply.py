@@ -10,8 +10,15 @@ import numpy as np
 
 from grindvision.errors import FileError
 from grindvision.formats.content import Content
-from grindvision.formats.records import bytes_left, content_of_records, content_of_rows, header_lines, numbers
+from grindvision.formats.records import (
+    content_of_records,
+    content_of_rows,
+    count_in_header,
+    header_lines,
+    numbers,
+)
 from grindvision.formats.records import text_lines as next_lines
+from grindvision.input_files import bytes_left
 
 PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -38,28 +45,27 @@ class _Element:
         return [order + PLY_TYPES[word] for word in self.types]
 
 
-def read_ply(path: Path) -> Content:
+def read_ply(path: Path, file: BinaryIO) -> Content:
     """Read the vertices of a PLY file: x y z and, where it has them, nx ny nz; everything else is passed over.
 
     Raises:
         FileError: no PLY, no vertices, a property that is no plain number, or shorter than its header says.
     """
-    with open(path, "rb") as file:
-        if file.readline(100).strip() != b"ply":
-            raise FileError(f"{path}: does not begin with 'ply'; is it a PLY file?")
-        form, elements = _header(path, file)
-        if form != "ascii" and form not in ORDERS:
-            raise FileError(f"{path}: PLY format {form!r} is unknown; use ascii or binary")
-        for element in elements:
-            if element.name == "vertex":
-                kinds = element.kinds(path, ORDERS.get(form, "="))
-                if form != "ascii":
-                    found = content_of_records(path, file, element.count, element.names, kinds)
-                else:
-                    rows = numbers(path, next_lines(path, file, element.count, len(kinds)))
-                    found = content_of_rows(path, rows, element.names)
-                return replace(found, mesh=any(other.name == "face" and other.count for other in elements))
-            _pass_over(path, file, element, form)
+    if file.readline(100).strip() != b"ply":
+        raise FileError(f"{path}: does not begin with 'ply'; is it a PLY file?")
+    form, elements = _header(path, file)
+    if form != "ascii" and form not in ORDERS:
+        raise FileError(f"{path}: PLY format {form!r} is unknown; use ascii or binary")
+    for element in elements:
+        if element.name == "vertex":
+            kinds = element.kinds(path, ORDERS.get(form, "="))
+            if form != "ascii":
+                found = content_of_records(path, file, element.count, element.names, kinds)
+            else:
+                rows = numbers(path, next_lines(path, file, element.count, len(kinds)))
+                found = content_of_rows(path, rows, element.names)
+            return replace(found, mesh=any(other.name == "face" and other.count for other in elements))
+        _pass_over(path, file, element, form)
     raise FileError(f"{path}: the header has no element vertex; export it as a plain point cloud")
 
 
@@ -70,9 +76,9 @@ def _header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
         if words[0] == "format" and len(words) > 1:
             form = words[1]
         elif words[0] == "element":
-            if len(words) != 3 or not (words[2].isascii() and words[2].isdigit()):
+            if len(words) != 3:
                 raise FileError(f"{path}: header line {' '.join(words)[:60]!r} has no count; the file is damaged")
-            elements.append(_Element(words[1], int(words[2])))
+            elements.append(_Element(words[1], count_in_header(path, words[2])))
         elif words[0] == "property" and elements and len(words) > 2:
             elements[-1].types.append(words[1])
             elements[-1].names.append(words[-1].lower())
@@ -86,7 +92,7 @@ def _pass_over(path: Path, file: BinaryIO, element: _Element, form: str) -> None
             if not file.readline():
                 raise FileError(f"{path}: it ends within element {element.name}; it is cut short or damaged")
         return
-    size = element.count * np.dtype(",".join(element.kinds(path, "<"))).itemsize
-    if size > bytes_left(path, file):
+    size = element.count * sum(np.dtype(kind).itemsize for kind in element.kinds(path, "<"))
+    if size > bytes_left(file):
         raise FileError(f"{path}: it ends within element {element.name}; it is cut short or damaged")
     file.seek(size, 1)

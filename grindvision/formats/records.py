@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 
 from grindvision.errors import FileError
 from grindvision.formats.content import Content, chosen_columns
+from grindvision.input_files import bytes_left, check_memory, read_rest
 
 Floats = NDArray[np.float64]
 
 MOST_HEADER_LINES, LONGEST_HEADER_LINE = 1000, 10_000
+
+#: A line of 30 bytes takes 190 while its numbers are read: twice the text, a Python string, three floats.
+MEMORY_PER_TEXT_BYTE = 7.0
 
 RECORDS_AT_ONCE = 1 << 16
 """So many records are held twice, as they stand in the file and as numbers; never the whole file."""
@@ -38,16 +42,39 @@ def header_lines(path: Path, file: BinaryIO, last: bytes) -> Iterator[list[str]]
         raise FileError(f"{path}: the header has no {last.decode()} line; the file is cut short or damaged")
 
 
+def count_in_header(path: Path, word: str) -> int:
+    """A number of things as a header says it.
+
+    Raises:
+        FileError: no plain whole number, or more than any file holds.
+    """
+    if not re.fullmatch(r"[0-9]{1,18}", word):
+        raise FileError(f"{path}: {word[:40]!r} in the header is no count; the file is damaged, export it again")
+    return int(word)
+
+
+def refuse_binary(path: Path, file: BinaryIO) -> None:
+    """Refuse a file that begins with bytes that no text holds; the place in the file stays.
+
+    Raises:
+        FileError: so it is.
+    """
+    begin = file.read(10_000)
+    file.seek(-len(begin), 1)
+    if b"\0" in begin:
+        raise FileError(f"{path}: not a plain text table of x y z; save it as UTF-8 text")
+
+
 def text_lines(path: Path, file: BinaryIO, count: int, columns: int) -> list[str]:
     """The next ``count`` lines of a text table of so many ``columns``.
 
     Raises:
         FileError: the file is too short for what its header announces.
     """
-    left = bytes_left(path, file)
+    left = bytes_left(file)
     if 2 * columns * count > left + 1:
         raise too_short(path, count, f"the file holds {left} bytes")
-    text = file.read().decode("latin-1").splitlines()
+    text = read_rest(path, file, MEMORY_PER_TEXT_BYTE).decode("latin-1").splitlines()
     lines = [line for line in text if line.strip()][:count]
     if len(lines) < count:
         raise too_short(path, count, f"the file holds {len(lines)}")
@@ -90,12 +117,13 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
         FileError: no x y z, or the file is too short.
     """
     record = np.dtype([(f"{at}", kind) for at, kind in enumerate(kinds)])
-    left = bytes_left(path, file)
+    left = bytes_left(file)
     if count * record.itemsize > left:
         raise too_short(path, count, f"{record.itemsize} bytes each, the file holds {left} bytes")
     point, normal = chosen_columns(names)
     if point is None:
         raise FileError(f"{path}: points need x y z; found {' '.join(names)}")
+    check_memory(path, 2 * 24 * count * (1 if normal is None else 2))
     points = np.empty((count, len(point)))
     normals = None if normal is None else np.empty((count, len(normal)))
     for start in range(0, count, RECORDS_AT_ONCE):
@@ -105,11 +133,6 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
                 for k, at in enumerate(columns):
                     table[start : start + len(rows), k] = rows[f"{at}"]
     return Content(points, normals)
-
-
-def bytes_left(path: Path, file: BinaryIO) -> int:
-    """Bytes of the file behind the place that was read up to."""
-    return path.stat().st_size - file.tell()
 
 
 def too_short(path: Path, count: int, found: str) -> FileError:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import BinaryIO
 
 from grindvision.errors import FileError
 from grindvision.formats.content import Content
-from grindvision.formats.records import content_of_rows, numbers
+from grindvision.formats.records import MEMORY_PER_TEXT_BYTE, content_of_rows, numbers, refuse_binary
+from grindvision.input_files import read_rest
 
 COMMENTS = ("#", "//", "%")
 MOST_HEADER_LINES = 50
@@ -21,16 +23,15 @@ AXIS = re.compile(r"(n?[xyz]|normal_[xyz])(?:[ _/\[(]*(mm|m)[\])]?)?")
 PARAVIEW = {"points:0": "x", "points:1": "y", "points:2": "z", "normals:0": "nx", "normals:1": "ny", "normals:2": "nz"}
 
 
-def read_table(path: Path) -> Content:
+def read_table(path: Path, file: BinaryIO) -> Content:
     """Read a text table: x y z by the header's names, or the first three columns where no header names them.
 
     Raises:
         FileError: no text, no points, text among the numbers, ragged rows, a comma that could mean two things, or
             named columns without x y z.
     """
-    text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    if "\0" in text[:10_000]:
-        raise FileError(f"{path}: not a plain text table of x y z; save it as UTF-8 text")
+    refuse_binary(path, file)
+    text = read_rest(path, file, MEMORY_PER_TEXT_BYTE).decode("utf-8-sig", errors="replace")
     lines = [line for line in map(str.strip, text.splitlines()) if line]
     title = ""
     begin = 0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
+from grindvision.formats.arrays import read_arrays
 from grindvision.geometry import check_points, fit_plane, vector_angle
 from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffness, on_axes, smooth_grid, spline_matrix
 
@@ -36,6 +35,9 @@ PLENTY = 20_000
 DOUBT_MM, DOUBT_SHARE, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
 
 LARGEST_NODES = 20_000_000
+
+#: Names of the arrays of a correction's file.
+FIELD_ARRAYS = ("error_grid_mm", "low", "high", "normal")
 
 
 @dataclass(frozen=True)
@@ -161,9 +163,8 @@ def write_field(correction: FieldCorrection, path: str | Path) -> None:
     Raises:
         FileError: the folder cannot be written to.
     """
-    names = ("error_grid_mm", "low", "high", "normal")
     with write_whole(path) as temporary:
-        np.savez_compressed(temporary, **dict(zip(names, astuple(correction), strict=True)))
+        np.savez_compressed(temporary, **dict(zip(FIELD_ARRAYS, astuple(correction), strict=True)))
 
 
 def read_field(path: str | Path) -> FieldCorrection:
@@ -172,19 +173,8 @@ def read_field(path: str | Path) -> FieldCorrection:
     Raises:
         FileError: missing, damaged, or no field correction.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > 8 * LARGEST_NODES:
-                raise FileError(f"{path}: too large for a field correction; check the path")
-        with np.load(path, allow_pickle=False) as file:
-            grid, low, high, normal = (
-                np.asarray(file[name], dtype=float) for name in ("error_grid_mm", "low", "high", "normal")
-            )
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
-    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise FileError(f"{path}: not a readable field correction ({reason}); make it again") from None
+    arrays = read_arrays(path, FIELD_ARRAYS, 8 * LARGEST_NODES)
+    grid, low, high, normal = (arrays[name] for name in FIELD_ARRAYS)
     shapes = grid.ndim == 3 and low.shape == high.shape == normal.shape == (3,) and grid.size > 0
     if not (shapes and all(np.isfinite(part).all() for part in (grid, low, high, normal))):
         raise FileError(f"{path}: not a field correction (shapes or numbers do not fit together); make it again")
