@@ -92,7 +92,7 @@ def blank_pictures(monkeypatch):
 
     monkeypatch.setattr(detect_picture, "draw", blank)
     monkeypatch.setattr(groove_picture, "draw", blank)
-    monkeypatch.setattr("grindvision.cli.calibrate._draw", blank)
+    monkeypatch.setattr("grindvision.cli.calibrate_picture.draw", blank)
 
 
 @pytest.fixture
