@@ -149,7 +149,7 @@ DIFFERENCE = Race(
     "difference",
     "What stands out of the sample, the scans being in one frame",
     (
-        ours("grindvision", "difference", "surfels and features of both scans (prepare), then vision.find_difference"),
+        ours("grindvision", "difference", "surfels and features of both scans (prepare), then vision.find_change"),
         open3d("Open3D", "difference", f"compute_point_cloud_distance: {NEAREST}"),
         Racer("SciPy", "scipy_peer:difference", about=f"cKDTree on all cores: {NEAREST}", needs="scipy"),
         small_gicp("small_gicp", "difference", f"KdTree on all cores: {NEAREST}"),

@@ -13,8 +13,8 @@ def lazy_names(
 ) -> tuple[list[str], Callable[[str], Any]]:
     """``__all__`` and ``__getattr__`` of ``package``: ``homes`` lists the names by the module they are fetched from.
 
-    ``renamed`` gives old names: the new name in the same package, or ``module:name`` for what stands in for the old one
-    (its arguments may have changed). They work, are not listed, and raise a ``DeprecationWarning``.
+    ``renamed`` gives the new name of an old one, or ``new=module:name`` where something else stands in for the old one
+    because the arguments have changed. Old names work, are not listed, and raise a ``DeprecationWarning``.
     """
     home_of = {name: module for module, names in homes.items() for name in names}
     old = dict(renamed or {})
@@ -23,11 +23,18 @@ def lazy_names(
         if name in home_of:
             return getattr(import_module(f"{package}.{home_of[name]}"), name)
         if name in old:
-            module, _, new = old[name].rpartition(":")
+            new, _, stand_in = old[name].partition("=")
             warnings.warn(
-                f"{package}.{name} is now {new}; the old name goes with the next version", DeprecationWarning, 2
+                f"{package}.{name} is now {new}; the old name goes with the next version",
+                DeprecationWarning,
+                stacklevel=2,
             )
-            return getattr(import_module(f"{package}.{module}" if module else package), new)
+            module, _, there = stand_in.partition(":")
+            return getattr(import_module(f"{package}.{module}"), there) if stand_in else _of(package, new)
         raise AttributeError(f"module {package} has no {name}")
 
     return sorted(home_of), get
+
+
+def _of(package: str, name: str) -> Any:
+    return getattr(import_module(package), name)

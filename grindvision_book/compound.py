@@ -32,10 +32,10 @@ from grindvision.cell.experiment4 import printed_path, twin_part
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_about, vector_angle
-from grindvision.vision.change.change_detection import find_difference
-from grindvision.vision.change.detection import propose, refine
+from grindvision.vision.change.change_detection import find_change
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.scan_registration import propose, refine
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
 from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
 from grindvision.vision.surface.scan import Scan as PreparedScan
@@ -108,10 +108,10 @@ class RegisteredPair:
             DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
         """
         rng = np.random.default_rng(0)
-        sample, test = prepare_pair(sample_points, test_points, (np.zeros(3), np.zeros(3)))
-        test, poses = propose(sample, test, rng)
+        test, sample = prepare_pair(test_points, sample_points, (np.zeros(3), np.zeros(3)))
+        test, poses = propose(test, sample, rng)
         coarse = choose_pose(test, sample, poses, rng)
-        return cls(sample, test, coarse, refine(sample, test, coarse, rng))
+        return cls(sample, test, coarse, refine(test, sample, coarse, rng))
 
     def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
         """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
@@ -119,7 +119,7 @@ class RegisteredPair:
         sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
         test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
         coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
-        return replace(self, test=test, registration=refine(self.sample, test, coarse, np.random.default_rng(0)))
+        return replace(self, test=test, registration=refine(test, self.sample, coarse, np.random.default_rng(0)))
 
     def at(self, T_sample_test: Floats) -> RegisteredPair:
         """The same scans under another registration (4, 4)."""
@@ -131,7 +131,7 @@ class RegisteredPair:
         Raises:
             DegenerateError: nothing stands out, or the bead cannot be followed.
         """
-        pieces = find_difference(self.sample, self.test, self.registration).clusters
+        pieces = find_change(self.test, self.sample, self.registration).clusters
         if not pieces:
             raise DegenerateError("no bead was found above the level of detection; scan the part from nearer views")
         return trace_bead(pieces[0], points)

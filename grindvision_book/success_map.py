@@ -63,15 +63,15 @@ def first_poses(one: Situation, rng: np.random.Generator) -> dict[str, Floats]:
 
     Open3D's threads share one random generator: its answer need not repeat.
     """
-    views = (one.sample, np.zeros(3)), (one.test, one.viewpoint_mm)
-    good, seen = (part.keypoints for part in scan.prepare_pair(one.sample, one.test, [view for _, view in views]))
+    views = (one.test, one.viewpoint_mm), (one.sample, np.zeros(3))
+    source, target = (part.keypoints for part in scan.prepare_pair(one.test, one.sample, [view for _, view in views]))
     few_sizes = scan.coarser(*(scan.choose_resolution(cloud, voxels=PAPER_VOXELS) for cloud, _ in views))
-    few_good, few_seen = (scan.prepare_scan(cloud, few_sizes, view).keypoints for cloud, view in views)
-    paper = sac_ia_paper(few_seen, few_good, rng, iterations=PAPER_SAMPLES, refine=False)
+    few_source, few_target = (scan.prepare_scan(cloud, few_sizes, view).keypoints for cloud, view in views)
+    paper = sac_ia_paper(few_source, few_target, rng, iterations=PAPER_SAMPLES, refine=False)
     return {
         "paper": paper.T_target_source,
-        "ours": propose_poses(seen, good, rng)[0][0],
-        "Open3D": _open3d_pose(seen, good),
+        "ours": propose_poses(source, target, rng)[0][0],
+        "Open3D": _open3d_pose(source, target),
     }
 
 

@@ -18,8 +18,8 @@ from grindvision.geometry import (
     rotate_vectors,
     vector_angle,
 )
-from grindvision.vision.change.centreline import bead_course
-from grindvision.vision.change.change_detection import Cluster, difference_paper, find_difference
+from grindvision.vision.change.centreline import bead_centreline
+from grindvision.vision.change.change_detection import Cluster, find_change, find_change_paper
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.change.oriented_box import box_path, minimal_box
 from grindvision.vision.change.ridge_path import trace_bead
@@ -203,7 +203,7 @@ def test_the_level_of_detection_covers_the_noise(case, found):
 def test_steep_places_are_less_certain_after_an_uncertain_registration(found):
     unsure = replace(found.registration, covariance=np.diag([0.1, 0.1, 0.1, 0, 0, 0]) ** 2)
     sure = replace(found.registration, covariance=np.zeros((6, 6)))
-    wide, narrow = (find_difference(found.sample, found.test, one).level_mm for one in (unsure, sure))
+    wide, narrow = (find_change(found.test, found.sample, one).level_mm for one in (unsure, sure))
     shown = ~np.isnan(found.difference.signed_mm)
     assert (wide[shown] > np.hypot(narrow[shown], 0.19)).all()
 
@@ -220,7 +220,7 @@ def test_a_thinly_sampled_straight_bead_does_not_seem_to_branch():
         s, b = draw.uniform(0, 24, 50), draw.uniform(-1.9, 1.9, 50)
         h = 1.5 * (1 - (b / 2) ** 2)
         thin = Cluster(np.column_stack([s, b, h]), h, np.tile([0.0, 0, 1], (50, 1)), 1.8, 60.0, 60.0, 1.5)
-        curve, closed, _ = bead_course(thin)
+        curve, closed, _ = bead_centreline(thin)
         assert not closed
         assert np.ptp(curve[:, 0]) > 12
 
@@ -285,10 +285,10 @@ def test_the_paper_s_threshold_is_squared_in_pcl(rng):
     sample = rng.uniform(0, 10, size=(500, 3))
     test = sample[:100] + [0, 0, 0.6]
     distances = cKDTree(sample).query(test)[0]
-    np.testing.assert_array_equal(difference_paper(sample, test, 0.5), distances > np.sqrt(0.5))
-    np.testing.assert_array_equal(difference_paper(sample, test, 0.5, squared=False), distances > 0.5)
+    np.testing.assert_array_equal(find_change_paper(test, sample, 0.5), distances > np.sqrt(0.5))
+    np.testing.assert_array_equal(find_change_paper(test, sample, 0.5, squared=False), distances > 0.5)
     with pytest.raises(InputError, match="above zero"):
-        difference_paper(sample, test, 0.0)
+        find_change_paper(test, sample, 0.0)
 
 
 def test_the_minimal_box_is_found_in_any_pose(rng):

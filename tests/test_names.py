@@ -22,6 +22,19 @@ def test_an_old_name_works_and_warns(face, old, new):
     assert old not in module.__all__
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("find_difference", "find_change"), ("difference_paper", "find_change_paper")]
+)
+def test_an_old_function_keeps_its_old_order_and_warns(old, new, rng):
+    vision = importlib.import_module("grindvision.vision")
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+        function = getattr(vision, old)
+    if old == "difference_paper":
+        sample, test_in_sample = rng.normal(size=(40, 3)), rng.normal(size=(30, 3))
+        kept = vision.find_change_paper(test_in_sample, sample, 0.5)
+        assert (function(sample, test_in_sample, 0.5) == kept).all() and len(kept) == 30
+
+
 def test_a_name_that_never_was_is_refused():
     with pytest.raises(AttributeError, match="no_such_name"):
         importlib.import_module("grindvision.vision").no_such_name  # noqa: B018

@@ -43,7 +43,7 @@ def easy():
 
 @pytest.fixture(scope="module")
 def prepared(easy):
-    return prepare_pair(easy.sample, easy.test)
+    return prepare_pair(easy.test, easy.sample)
 
 
 @pytest.fixture(scope="module")
@@ -82,14 +82,14 @@ def test_sac_ia_as_in_the_paper_comes_near(easy):
 
 
 def test_refinement_lowers_the_error_it_minimises(prepared, close):
-    good, seen = prepared
-    tree = cKDTree(good.voxels.points)
+    source, target = prepared
+    tree = cKDTree(target.voxels.points)
 
     def error(transform):
-        return huber(tree.query(move_points(transform, seen.voxels.points))[0], 2.0).mean()
+        return huber(tree.query(move_points(transform, source.voxels.points))[0], 2.0).mean()
 
     start = close @ rigid(rotation_about((0, 0, 1), 0.01), (1.0, 0, 0))
-    assert error(refine_pose(seen.voxels.points, good.voxels.points, start, 2.0)) < 0.9 * error(start)
+    assert error(refine_pose(source.voxels.points, target.voxels.points, start, 2.0)) < 0.9 * error(start)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -177,16 +177,16 @@ def test_scans_that_do_not_overlap_are_refused():
 
 
 def test_choose_pose_corrects_a_rough_guess_and_drops_wrong_ones(prepared, easy, close, rng):
-    good, seen = prepared
-    centre = seen.surfels.points.mean(axis=0)
+    source, target = prepared
+    centre = source.surfels.points.mean(axis=0)
     wrong = close @ rigid(None, centre) @ rigid(rotation_about((0, 0, 1), 2.0)) @ rigid(None, -centre)
-    chosen = choose_pose(seen, good, np.stack([wrong, close]), rng)
+    chosen = choose_pose(source, target, np.stack([wrong, close]), rng)
     assert errors(chosen.registration.T_target_source, easy.T_sample_test, centre)[0] < 0.1
 
 
 def test_proposals_are_distinct_and_hold_the_truth(prepared, easy, rng):
-    good, seen = prepared
-    poses, shares = propose_poses(seen.keypoints, good.keypoints, rng)
+    source, target = prepared
+    poses, shares = propose_poses(source.keypoints, target.keypoints, rng)
     assert (np.diff(shares) <= 0).all()
     assert shares[0] > 0.1
     assert (shares <= 1).all()
@@ -224,9 +224,9 @@ def test_the_pose_errs_as_its_covariance_says(close, bend_mm):
         case = pair(seed=40 + seed, n_points=20_000, noise_mm=0.1)
         draw = np.random.default_rng(seed)
         sample, test = (bent(points, bend_mm, draw) for points in (case.sample, case.test))
-        good, seen = prepare_pair(sample, test)
-        source, normals = seen.surfels.points, seen.surfels.normals
-        found = refine_bent(source, normals, good.surfels, icp_planes(source, normals, good.surfels, close))
+        source, target = prepare_pair(test, sample)
+        source, normals = source.surfels.points, source.surfels.normals
+        found = refine_bent(source, normals, target.surfels, icp_planes(source, normals, target.surfels, close))
         to_centre = rigid(None, -found.centre_mm)
         motion = to_centre @ found.T_target_source @ inverse(case.T_sample_test) @ inverse(to_centre)
         error = np.array([*motion[:3, 3], motion[2, 1], motion[0, 2], motion[1, 0]])
@@ -246,18 +246,18 @@ def test_a_bent_field_is_not_taken_for_a_motion():
     flat = pair(seed=8, n_points=40_000, relief=0.3, noise_mm=0.01)
     u, v = flat.test[:, 0] / 100, flat.test[:, 1] / 70
     bent = flat.test * (1 + (0.1 * (u**3 - 0.6 * u) + 0.08 * u * v**2)[:, None] / 400)
-    good, seen = prepare_pair(flat.sample, bent)
-    source, normals = seen.surfels.points, seen.surfels.normals
-    stiff = icp_planes(source, normals, good.surfels, flat.T_sample_test)
-    free = refine_bent(source, normals, good.surfels, stiff)
+    source, target = prepare_pair(bent, flat.sample)
+    source, normals = source.surfels.points, source.surfels.normals
+    stiff = icp_planes(source, normals, target.surfels, flat.T_sample_test)
+    free = refine_bent(source, normals, target.surfels, stiff)
     at = flat.test.mean(axis=0)
     off = [errors(found.T_target_source, flat.T_sample_test, at)[1] for found in (stiff, free)]
     assert off[1] < 0.5 * off[0]
 
 
 def test_planes_are_matched_as_the_plain_twin_does(prepared, close):
-    good, seen = prepared
-    source, normals, target = seen.surfels.points[:3000], seen.surfels.normals[:3000], good.surfels
+    source, target = prepared
+    source, normals, target = source.surfels.points[:3000], source.surfels.normals[:3000], target.surfels
     most = 3 * target.grid.size_mm
     residuals, facing = plane_residuals(source, normals, target, close, most)
     moved = move_points(close, source)
@@ -271,13 +271,13 @@ def test_planes_are_matched_as_the_plain_twin_does(prepared, close):
 
 
 def test_planes_that_are_kept_and_a_few_points_first_do_not_move_the_result(prepared, close, monkeypatch):
-    good, seen = prepared
-    source, normals = seen.surfels.points, seen.surfels.normals
+    source, target = prepared
+    source, normals = source.surfels.points, source.surfels.normals
     assert len(source) > plane_icp.MANY
-    found = icp_planes(source, normals, good.surfels, close)
+    found = icp_planes(source, normals, target.surfels, close)
     monkeypatch.setattr(plane_icp, "STAY", 0.0)
     monkeypatch.setattr(plane_icp, "MANY", len(source))
-    plain = icp_planes(source, normals, good.surfels, close)
+    plain = icp_planes(source, normals, target.surfels, close)
     turn, shift = errors(found.T_target_source, plain.T_target_source, source.mean(axis=0))
     assert shift < 0.02 * plain.rms_mm
     assert turn < 1e-3
@@ -286,10 +286,10 @@ def test_planes_that_are_kept_and_a_few_points_first_do_not_move_the_result(prep
 
 @pytest.mark.parametrize("within_mm", [0.05, 0.5, 5.0])
 def test_the_agreeing_share_is_that_of_the_whole_agreement(prepared, close, within_mm):
-    good, seen = prepared
+    source, target = prepared
     for turn in (0.0, 0.02, 1.5):
         pose = close @ rigid(rotation_about((0, 0, 1), turn))
-        asked = seen.surfels.points[:500], seen.surfels.normals[:500], good.voxels, pose, within_mm
+        asked = source.surfels.points[:500], source.surfels.normals[:500], target.voxels, pose, within_mm
         assert agreeing_share(*asked) == agreement(*asked).agreeing
 
 
@@ -326,9 +326,9 @@ def test_generalised_icp_agrees_with_the_truth(easy, close):
 
 def test_scans_far_apart_share_no_pairs(easy, prepared):
     far = rigid(None, (0, 0, 5000.0))
-    seen = prepared[1].surfels
+    source = prepared[0].surfels
     with pytest.raises(DegenerateError, match="meet within"):
-        icp_planes(seen.points, seen.normals, prepared[0].surfels, far)
+        icp_planes(source.points, source.normals, prepared[1].surfels, far)
     with pytest.raises(DegenerateError, match="meet within"):
         icp_generalised(easy.test[::30], easy.sample[::30], far)
     with pytest.raises(DegenerateError, match="pairs of points"):

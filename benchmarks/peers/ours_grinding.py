@@ -7,9 +7,10 @@ import numpy as np
 from benchmarks.peers.laps import Laps
 from grindvision.clouds import read_cloud
 from grindvision.vision.change import detection
-from grindvision.vision.change.change_detection import find_difference
+from grindvision.vision.change.change_detection import find_change
 from grindvision.vision.registration.icp import FineRegistration, icp_points
 from grindvision.vision.registration.plane_icp import icp_planes
+from grindvision.vision.registration.scan_registration import propose
 from grindvision.vision.registration.verification import choose_pose
 from grindvision.vision.surface.fpfh import compute_fpfh
 from grindvision.vision.surface.normals import orient_to_viewpoint
@@ -33,11 +34,11 @@ def coarse(sample: str, test: str, seed: int = 0) -> dict:
     lap, rng = Laps(), np.random.default_rng(seed)
     clouds = _read(sample, test)
     lap("read")
-    good, seen = prepare_pair(*clouds)
+    source, target = prepare_pair(*reversed(clouds))
     lap("features")
-    seen, poses = detection.propose(good, seen, rng)
+    source, poses = propose(source, target, rng)
     lap("coarse")
-    found = choose_pose(seen, good, poses, rng)
+    found = choose_pose(source, target, poses, rng)
     lap("verification")
     return {"T_sample_test": found.registration.T_target_source, "laps_s": lap.laps_s}
 
@@ -48,11 +49,11 @@ def icp(sample: str, test: str, start: str) -> dict:
     clouds, pose = _read(sample, test), _pose(start)
     lap("read")
     size = coarser(*map(choose_resolution, clouds)).surfel_mm
-    good, seen = (build_surfels(points, size) for points in clouds)
-    normals = orient_to_viewpoint(seen.points, seen.normals, np.zeros(3))
-    good.normals[:] = orient_to_viewpoint(good.points, good.normals, np.zeros(3))
+    target, source = (build_surfels(points, size) for points in clouds)
+    normals = orient_to_viewpoint(source.points, source.normals, np.zeros(3))
+    target.normals[:] = orient_to_viewpoint(target.points, target.normals, np.zeros(3))
     lap("prepare")
-    found = icp_planes(seen.points, normals, good, pose, max_mm=4.0)
+    found = icp_planes(source.points, normals, target, pose, max_mm=4.0)
     lap("icp")
     return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
 
@@ -62,9 +63,9 @@ def icp_paper(sample: str, test: str, start: str) -> dict:
     lap = Laps()
     clouds, pose = _read(sample, test), _pose(start)
     lap("read")
-    good, seen = (voxel_grid(points, 1.0).centroids for points in clouds)
+    target, source = (voxel_grid(points, 1.0).centroids for points in clouds)
     lap("prepare")
-    found = icp_points(seen, good, pose, max_mm=4.0, iterations=400)
+    found = icp_points(source, target, pose, max_mm=4.0, iterations=400)
     lap("icp")
     return {"T_sample_test": found.T_target_source, "laps_s": lap.laps_s}
 
@@ -74,11 +75,11 @@ def difference(sample: str, test: str) -> dict:
     lap = Laps()
     clouds = _read(sample, test)
     lap("read")
-    good, seen = prepare_pair(*clouds)
+    source, target = prepare_pair(*reversed(clouds))
     lap("prepare")
     unknown = np.full((6, 6), np.nan)
     same = FineRegistration(np.eye(4), 0.0, 1.0, 0, True, np.zeros(3), unknown, unknown, np.zeros(1))
-    found = find_difference(good, seen, same)
+    found = find_change(source, target, same)
     lap("difference")
     return {"points": found.points, "laps_s": lap.laps_s}
 
@@ -98,9 +99,9 @@ def fpfh(sample: str, test: str, radius_mm: float = 10.0) -> dict:
     lap = Laps()
     clouds = [read_cloud(path) for path in (sample, test)]
     lap("read")
-    good, seen = (compute_fpfh(cloud.points, cloud.normals, radius_mm) for cloud in clouds)
+    target, source = (compute_fpfh(cloud.points, cloud.normals, radius_mm) for cloud in clouds)
     lap("fpfh")
-    return {"sample": good, "test": seen, "laps_s": lap.laps_s}
+    return {"sample": target, "test": source, "laps_s": lap.laps_s}
 
 
 def _read(*files: str) -> list[np.ndarray]:

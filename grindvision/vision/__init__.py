@@ -16,15 +16,21 @@ _HOMES = {
     "registration.icp": ("icp_generalised", "icp_points"),
     "registration.plane_icp": ("icp_planes",),
     "registration.global_registration": ("propose_poses",),
+    "registration.scan_registration": ("RegisterOptions", "Registration", "register"),
     "registration.sac_ia": ("sac_ia_paper",),
     "registration.verification": ("choose_pose",),
     "change.ridge_path": ("BeadPath", "trace_bead"),
     "change.detection": ("DetectOptions", "Detection", "detect"),
-    "change.change_detection": ("Difference", "difference_paper", "find_difference"),
+    "change.change_detection": ("Difference", "find_change", "find_change_paper"),
     "seam.gfh_groove": ("GfhSettings", "find_groove_gfh"),
     "seam.groove": ("DetectedGroove", "GrooveDetection", "find_grooves"),
     "seam.seam_path": ("root_path", "slab_path"),
     "seam.weld": ("Weld", "trace_weld"),
     "depth_calibration.field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
 }
-__all__, __getattr__ = lazy_names(__name__, _HOMES)
+_RENAMED = {
+    "find_difference": "find_change=old_names:find_difference",
+    "difference_paper": "find_change_paper=old_names:difference_paper",
+}
+
+__all__, __getattr__ = lazy_names(__name__, _HOMES, _RENAMED)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from grindvision import geometry
-from grindvision.vision import difference_paper
+from grindvision.vision import find_change_paper
 from grindvision.vision.change.oriented_box import minimal_box
 from grindvision_book.exercises.cases import poses, units
 from grindvision_book.exercises.checking import Exercise, Mistake
@@ -30,7 +30,7 @@ def _distances(sample: Floats, test: Floats) -> Floats:
 
 def changed(sample: Floats, test: Floats, threshold_mm: float) -> NDArray[np.bool_]:
     """Section 3.5 with a length for a length."""
-    return difference_paper(sample, test, threshold_mm, squared=False)
+    return find_change_paper(test, sample, threshold_mm, squared=False)
 
 
 def _feet(rng: np.random.Generator) -> list[tuple[Floats, ...]]:
@@ -122,7 +122,7 @@ EXERCISES = (
             Mistake(
                 "squared threshold",
                 "PCL compares the squared distance with the threshold. A length belongs against a length.",
-                lambda sample, test, threshold: difference_paper(sample, test, threshold, squared=True),
+                lambda sample, test, threshold: find_change_paper(test, sample, threshold, squared=True),
             ),
             Mistake(
                 "threshold squared too often",

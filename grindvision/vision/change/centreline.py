@@ -21,20 +21,20 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-def bead_course(cluster: Cluster) -> tuple[Floats, bool, float]:
+def bead_centreline(cluster: Cluster) -> tuple[Floats, bool, float]:
     """Rough ordered curve (M, 3) along the cluster, whether it is closed, and the bead's width in mm.
 
     Raises:
         TooSmallError: too few points. DegenerateError: the bead branches.
     """
-    core = cluster.heights_mm > 0.35 * cluster.peak_mm
+    core = cluster.signed_mm > 0.35 * cluster.peak_mm
     if core.sum() < 12:
         raise TooSmallError(f"the bead has only {int(core.sum())} points; too few to follow its ridge, scan it denser")
     size = cluster.spacing_mm
     points = cluster.points[core]
     grid = build_cells(points, size)
     cells = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
-    weight = cluster.heights_mm[core][grid.order]
+    weight = cluster.signed_mm[core][grid.order]
     total = np.bincount(cells, weight)
     nodes = np.column_stack([np.bincount(cells, weight * points[grid.order, k]) / total for k in range(3)])
     step = 2.6 * size  # the means of thinly filled cells stand farther apart than their points

@@ -1,6 +1,6 @@
 """What stands out of the good part (section 3.5): a signed difference with a level of detection, in clusters.
 
-The paper keeps test points farther than a threshold from their nearest sample point: ``difference_paper``. Ours
+The paper keeps test points farther than a threshold from their nearest sample point: ``find_change_paper``. Ours
 measures along the sample's normal, against its surface and not its points, and asks whether a difference is more than
 noise: the level of detection of M3C2 (Lague 2013), 1.96 standard deviations of the two surfaces' noise, of their
 roughness where planes fit badly, of the pose, and of what scanner distortion leaves over the whole field. Surface
@@ -31,23 +31,23 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-MOST_CHANGED = 0.4
-"""Share of the common surface that may differ; above, the test scan shows another part."""
+MAX_CHANGED = 0.4
+"""Fraction of the common surface that may differ; above, the test scan shows another part."""
 
-LEAST_SPREAD = 0.4
-"""A piece whose feet cover fewer cells of the good surface than this share of its own is a wall seen in one scan."""
+MIN_FOOTPRINT = 0.4
+"""A piece whose feet cover fewer cells of the good surface than this fraction of its own is a wall seen in one scan."""
 
 
 @dataclass(frozen=True)
 class Cluster:
     """One connected piece of difference, in the frame of the test scan.
 
-    ``points`` (N, 3) of the test scan, ``heights_mm`` (N,) above the good surface, whose unit ``normals`` (N, 3) are
+    ``points`` (N, 3) of the test scan, ``signed_mm`` (N,) above the good surface, whose unit ``normals`` (N, 3) are
     given beside; ``spacing_mm``: the cell size at which it was found; ``area_mm2``, ``volume_mm3``, ``peak_mm``.
     """
 
     points: Floats
-    heights_mm: Floats
+    signed_mm: Floats
     normals: Floats
     spacing_mm: float
     area_mm2: float
@@ -76,7 +76,7 @@ class Difference:
 
     @property
     def compared(self) -> float:
-        """Share of the test scan's surfels that the sample shows a surface to compare with."""
+        """Fraction of the test scan's surfels that the sample shows a surface to compare with."""
         return float(np.mean(~np.isnan(self.signed_mm)))
 
     @property
@@ -99,57 +99,58 @@ def kd_tree_distances(cloud: Floats, queries: Floats) -> Floats:
     return cKDTree(cloud).query(queries)[0]
 
 
-def difference_paper(
-    sample: ArrayLike,
-    test_in_sample: ArrayLike,
+def find_change_paper(
+    source_in_target: ArrayLike,
+    target: ArrayLike,
     threshold_mm: float,
     squared: bool = True,
     search: NearestSearch = kd_tree_distances,
 ) -> Flags:
-    """Test points (N,) that belong to the difference cloud as the paper finds it.
+    """Source points (N,) that belong to the difference cloud as the paper finds it.
 
     Args:
-        test_in_sample: test points (N, 3) in the frame of the sample.
+        source_in_target: points (N, 3) of the test part, in the frame of the target.
+        target: points (M, 3) of the good part, the sample.
         threshold_mm: a length. With ``squared``, as in PCL, it is compared with the squared distance: 0.5 then means
             0.71 mm.
     """
-    sample, test = check_points(sample, "sample"), check_points(test_in_sample, "test points")
+    source, target = check_points(source_in_target, "source points"), check_points(target, "target points")
     if not threshold_mm > 0:
         raise InputError(f"the threshold is {threshold_mm} mm; it must be above zero")
-    distances = search(sample, test)
+    distances = search(target, source)
     return distances**2 > threshold_mm if squared else distances > threshold_mm
 
 
-def find_difference(sample: Scan, test: Scan, registration: FineRegistration, min_surfels: int = 10) -> Difference:
-    """Where the test part stands out of the sample by more than the level of detection.
+def find_change(source: Scan, target: Scan, registration: FineRegistration, min_surfels: int = 10) -> Difference:
+    """Where the source, the test part, stands out of the target, the good part, by more than the level of detection.
 
     Args:
-        registration: pose T_sample_test of the test scan, with its covariance.
+        registration: pose T_target_source, with its covariance.
         min_surfels: connected surfels a piece must have.
 
     Raises:
-        DegenerateError: more than ``MOST_CHANGED`` of the common surface differs.
+        DegenerateError: more than ``MAX_CHANGED`` of the common surface differs.
     """
     back = inverse(registration.T_target_source)
-    good = surface_in_frame(sample.surfels, back)
-    surfels = test.surfels
-    size = good.grid.size_mm
-    signed, normals, variance = signed_distances(good, surfels.points, 2 * size)
+    surface = surface_in_frame(target.surfels, back)
+    surfels = source.surfels
+    size = surface.grid.size_mm
+    signed, normals, variance = signed_distances(surface, surfels.points, 2 * size)
     far = np.isnan(signed)
     if far.any():
-        signed[far], normals[far] = _far_heights(sample, back, surfels.points[far], size)
+        signed[far], normals[far] = _far_distances(target, back, surfels.points[far], size)
     excess = np.sqrt(np.maximum(surfels.roughness_mm**2 - surfels.noise_mm**2, 0))
     variance = variance + surfels.noise_mm**2 / surfels.counts + (0.5 * excess) ** 2
     shown = ~np.isnan(signed)
     if shown.sum() < 10:
         raise DegenerateError("after registration the scans share no surface; scan the part from nearer views")
-    spread = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
-    field = max(spread**2 - np.median(variance[shown]), 0.0)
+    sigma = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
+    field = max(sigma**2 - np.median(variance[shown]), 0.0)
     variance = variance + _pose_variance(registration, surfels.points, normals)
     # no spot is trusted better than the scans agree over all
-    level = 1.96 * np.sqrt(np.maximum(variance + field, spread**2))
-    changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * spread)
-    if changed.sum() > MOST_CHANGED * shown.sum():
+    level = 1.96 * np.sqrt(np.maximum(variance + field, sigma**2))
+    changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
+    if changed.sum() > MAX_CHANGED * shown.sum():
         raise DegenerateError(
             f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than"
             f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
@@ -157,15 +158,17 @@ def find_difference(sample: Scan, test: Scan, registration: FineRegistration, mi
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
     candidates = shown & (np.nan_to_num(signed) > level)
     doubtful = np.flatnonzero(candidates & suspicious)
-    candidates[doubtful] = in_front(good, seen_from(sample, back), surfels.points[doubtful], size)
+    candidates[doubtful] = in_front(surface, seen_from(target, back), surfels.points[doubtful], size)
     asked = np.flatnonzero(candidates)
-    candidates[asked] = surrounded(good, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked])
-    clusters = _clusters(test, good, candidates, signed, level, normals, min_surfels)
+    candidates[asked] = surrounded(
+        surface, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked]
+    )
+    clusters = _clusters(source, surface, candidates, signed, level, normals, min_surfels)
     return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
 
 
 def _pose_variance(registration: FineRegistration, points: Floats, normals: Floats) -> Floats:
-    """Variance (N,) of heights that comes from the pose: steep places feel shifts across the surface."""
+    """Variance (N,) of distances that comes from the pose: steep places feel translations across the surface."""
     if not np.isfinite(registration.covariance).all():
         return np.zeros(len(points))
     transform = registration.T_target_source
@@ -174,71 +177,73 @@ def _pose_variance(registration: FineRegistration, points: Floats, normals: Floa
     return np.einsum("ij,ij->i", jacobian @ registration.covariance, jacobian)
 
 
-def _far_heights(sample: Scan, T_test_sample: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
-    """Heights over the sample's coarse surfels for points more than some surfels away from it; NaN beside it."""
-    places = move_points(T_test_sample, sample.voxels.points)
-    normals = sample.voxels.normals @ T_test_sample[:3, :3].T
-    voxel = sample.voxels.grid.size_mm
+def _far_distances(target: Scan, T_source_target: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:
+    """Signed distances from the target's coarse surfels for points more than some surfels away from it; NaN beside
+    it."""
+    places = move_points(T_source_target, target.voxels.points)
+    normals = target.voxels.normals @ T_source_target[:3, :3].T
+    voxel = target.voxels.grid.size_mm
     at, distances = nearest(build_cells(places, 4 * voxel), points, 8 * voxel)
     found = at >= 0
     along = ((points - places[at]) * normals[at]).sum(axis=1)
     beside = np.sqrt(np.maximum(distances**2 - along**2, 0, where=found, out=np.zeros(len(points))))
-    seen = found & (beside < 1.2 * voxel) & (np.abs(along) > size)
-    return np.where(seen, along, np.nan), normals[at]
+    shown = found & (beside < 1.2 * voxel) & (np.abs(along) > size)
+    return np.where(shown, along, np.nan), normals[at]
 
 
 def _clusters(
-    test: Scan, good: Surfels, candidates: Flags, signed: Floats, level: Floats, normals: Floats, least: int
+    source: Scan, surface: Surfels, candidates: Flags, signed: Floats, level: Floats, normals: Floats, min_surfels: int
 ) -> tuple[Cluster, ...]:
     chosen = np.flatnonzero(candidates)
-    if len(chosen) < least:
+    if len(chosen) < min_surfels:
         return ()
-    size = good.grid.size_mm
-    places = test.surfels.points[chosen]
+    size = surface.grid.size_mm
+    places = source.surfels.points[chosen]
     labels = euclidean_clusters(places, 2 * size)
     number = int(labels.max()) + 1
     strong = np.bincount(labels, signed[chosen] > 2 * level[chosen], number)
-    dense = np.bincount(labels, test.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
-    usual = np.median(test.surfels.counts)
+    dense = np.bincount(labels, source.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
+    usual = np.median(source.surfels.counts)
     pieces = []
     volumes = np.bincount(labels, signed[chosen], number)
     for label in np.argsort(-volumes, kind="stable"):
-        if strong[label] < least or volumes[label] < 0.05 * volumes.max() or dense[label] < 0.4 * usual:
+        if strong[label] < min_surfels or volumes[label] < 0.05 * volumes.max() or dense[label] < 0.4 * usual:
             continue
-        pieces.append(_piece(test, good, chosen[labels == label], signed, normals))
+        pieces.append(_piece(source, surface, chosen[labels == label], signed, normals))
     return tuple(piece for piece in pieces if piece is not None)
 
 
-def _piece(test: Scan, good: Surfels, members: Integers, signed: Floats, normals: Floats) -> Cluster | None:
-    """The scan's own points in the cells of a piece, with their heights."""
-    grid = test.surfels.grid
-    flags = np.zeros(len(test.surfels), dtype=bool)
+def _piece(source: Scan, surface: Surfels, members: Integers, signed: Floats, normals: Floats) -> Cluster | None:
+    """The scan's own points in the cells of a piece, with their signed distances."""
+    grid = source.surfels.grid
+    flags = np.zeros(len(source.surfels), dtype=bool)
     flags[members] = True
-    points = test.points[
-        _points_in_cells(test.points, flags, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm)
+    points = source.points[
+        _points_in_cells(source.points, flags, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm)
     ]
-    size = good.grid.size_mm
-    heights, up, _ = signed_distances(good, points, 2 * size)
-    high = np.isnan(heights)
+    size = surface.grid.size_mm
+    distances, up, _ = signed_distances(surface, points, 2 * size)
+    high = np.isnan(distances)
     if high.any():
-        places = test.surfels.points[members]
+        places = source.surfels.points[members]
         owner = members[nearest(build_cells(places, size), points[high], 4 * size)[0]]
         up[high] = normals[owner]
-        heights[high] = signed[owner] + ((points[high] - test.surfels.points[owner]) * normals[owner]).sum(axis=1)
-    standing = heights > 0
-    feet = points[standing] - heights[standing, None] * up[standing]
-    if len(feet) < 3 or len(build_cells(feet, size).starts) - 1 < LEAST_SPREAD * len(members):
+        distances[high] = signed[owner] + ((points[high] - source.surfels.points[owner]) * normals[owner]).sum(axis=1)
+    standing = distances > 0
+    feet = points[standing] - distances[standing, None] * up[standing]
+    if len(feet) < 3 or len(build_cells(feet, size).starts) - 1 < MIN_FOOTPRINT * len(members):
         return None
     area = len(members) * size**2 / 1.5
-    peak = float(np.quantile(heights[standing], 0.98))
+    peak = float(np.quantile(distances[standing], 0.98))
     volume = area * float(np.mean(signed[members]))
-    return Cluster(points[standing], heights[standing], up[standing], size, area, volume, peak)
+    return Cluster(points[standing], distances[standing], up[standing], size, area, volume, peak)
 
 
 @njit(cache=True, nogil=True)
 def _points_in_cells(
     points: Floats, flags: Flags, table_keys: Integers, table_cells: NDArray[np.int32], origin: Floats, per_mm: float
 ) -> Integers:
+    """Indices of the points (N, 3) that lie in the cells with a flag."""
     found = np.empty(len(points), dtype=np.int64)
     count = 0
     last, wanted = np.int64(-1), np.bool_(False)

@@ -1,6 +1,6 @@
 """Path points along the ridge of a bead (ours, in place of section 3.6's boxes).
 
-The bead's rough course comes from ``bead_course``. The ridge is where the height over the good surface is
+The bead's rough course comes from ``bead_centreline``. The ridge is where the height over the good surface is
 greatest across the bead: the top of a quartic fitted across, which uneven sampling does not pull aside as it does a
 centroid, and which fits round, bell-shaped and lopsided beads as well as a parabola.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import InputError, TooSmallError
 from grindvision.geometry.curves import Curve
-from grindvision.vision.change.centreline import bead_course
+from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import Cluster
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ REACH_WIDTHS = 1.2
 SHAPE_WIDTHS = 5.0
 """Over so many widths to either side a bead keeps the shape of its cross-section well enough for it to be averaged."""
 
-TOP_SHARE = 0.05
+TOP_FRACTION = 0.05
 """The ridge is the middle of what lies within this share of the top's height: a flat top has no vertex of its own."""
 
 POWERS = np.arange(1, 5)
@@ -37,7 +37,7 @@ FARTHEST = 0.36
 ACROSS = np.linspace(-FARTHEST, FARTHEST, 101)
 ACROSS_POWERS = ACROSS[:, None] ** POWERS
 
-FLANK, LEAST_FLANK = 0.2, 0.05
+FLANK, MIN_FLANK = 0.2, 0.05
 """A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
 
 
@@ -79,7 +79,7 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     """
     if points < 1:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
-    curve, closed, width = bead_course(cluster)
+    curve, closed, width = bead_centreline(cluster)
     stations = Curve(curve, closed)
     for _ in range(2):
         stations = Curve(_smoothed(_ridge(cluster, stations, width)[0], closed), closed)
@@ -104,7 +104,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     ``SHAPE_WIDTHS`` along the bead, the station's own is its shift t across: often one flank is in shadow, and the
     slope of the other alone cannot tell a ridge farther off from a rounder one. The ridge is the middle of g's top.
     """
-    feet = cluster.points - cluster.heights_mm[:, None] * cluster.normals
+    feet = cluster.points - cluster.signed_mm[:, None] * cluster.normals
     s_all = stations.arc_of(feet)
     near = np.clip(s_all, 0, stations.length_mm)
     offsets = feet - stations.at(near)
@@ -117,7 +117,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
         raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
     arcs = np.array([arc for arc, _ in windows])
     sections = [
-        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.heights_mm[used], width)
+        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.signed_mm[used], width)
         for arc, used in windows
     ]
     laterals, heights = _ridges(sections, _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width), width)
@@ -173,8 +173,8 @@ def _ridges(sections: list[_Section], shapes: Floats, width: float) -> tuple[Flo
 
 
 def _middle_of_top(across: Floats, heights: Floats) -> float:
-    """Middle of the places (K,) whose heights (K,) come within ``TOP_SHARE`` of the highest."""
-    level = heights.max() - TOP_SHARE * abs(heights.max())
+    """Middle of the places (K,) whose heights (K,) come within ``TOP_FRACTION`` of the highest."""
+    level = heights.max() - TOP_FRACTION * abs(heights.max())
     high = np.flatnonzero(heights >= level)
     ends = []
     for last, beyond in ((high[0], high[0] - 1), (high[-1], high[-1] + 1)):
@@ -192,7 +192,7 @@ def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reac
     weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
     weights /= weights.sum(axis=1, keepdims=True)
     equations, rights = np.tensordot(weights, equations, 1), weights @ rights
-    shapes, shown = np.zeros(rights.shape), (weights @ flanks > LEAST_FLANK).all(axis=1)
+    shapes, shown = np.zeros(rights.shape), (weights @ flanks > MIN_FLANK).all(axis=1)
     for some, terms in ((shown, len(POWERS)), (~shown, 2)):
         inverses = np.linalg.pinv(equations[some, :terms, :terms], rcond=1e-9)
         shapes[some, :terms] = (inverses @ rights[some, :terms, None])[:, :, 0]
@@ -219,6 +219,6 @@ def _smoothed(places: Floats, closed: bool) -> Floats:
 
 def _ends(cluster: Cluster, ridge: Curve) -> tuple[float, float]:
     """Arc lengths between which the bead stands at least half as high as its ridge."""
-    high = cluster.heights_mm > 0.5 * cluster.peak_mm
+    high = cluster.signed_mm > 0.5 * cluster.peak_mm
     arcs = ridge.arc_of(cluster.points[high])
     return float(np.quantile(arcs, 0.005)), float(np.quantile(arcs, 0.995))

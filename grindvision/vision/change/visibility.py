@@ -17,18 +17,18 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-MOST_OPEN = np.radians(130)
+MAX_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
 
-LEAST_SHOWN = 8
+MIN_SHOWN = 8
 """Of the nine pixels about a doubtful point, so many must show surface behind it: at a rim it may be surface unseen."""
 
 
-def in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: float) -> Flags:
+def in_front(surface: Surfels, viewpoint: Floats | None, points: Floats, size: float) -> Flags:
     """Points that the sample's scanner would have seen in front of what it saw: new material, not an unseen wall."""
     if viewpoint is None or len(points) == 0:
         return np.zeros(len(points), dtype=bool)
-    middle = good.points.mean(axis=0) - viewpoint
+    middle = surface.points.mean(axis=0) - viewpoint
     distance = float(np.linalg.norm(middle))
     ahead = middle / distance
     across = np.linalg.svd(ahead[None])[2][1:]
@@ -39,7 +39,7 @@ def in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: floa
         depth = rays @ ahead
         return np.round(rays @ across.T / np.maximum(depth, 1e-9)[:, None] / pixel).astype(np.int64), depth
 
-    pixels, depths = project(good.points)
+    pixels, depths = project(surface.points)
     low, high = pixels.min(axis=0) - 2, pixels.max(axis=0) + 3
     nearest_depth = np.full(tuple(high - low), np.inf)
     np.minimum.at(nearest_depth, tuple((pixels - low).T), depths)
@@ -52,14 +52,14 @@ def in_front(good: Surfels, viewpoint: Floats | None, points: Floats, size: floa
             depth = nearest_depth[spot[:, 0] + i, spot[:, 1] + j]
             np.minimum(window, depth, out=window)
             shown += np.isfinite(depth)
-    return inside & (shown >= LEAST_SHOWN) & (asked_depths < window)
+    return inside & (shown >= MIN_SHOWN) & (asked_depths < window)
 
 
-def surrounded(good: Surfels, feet: Floats, normals: Floats) -> Flags:
+def surrounded(surface: Surfels, feet: Floats, normals: Floats) -> Flags:
     """Whether the sample's surface lies all around these feet (N, 3); at a rim there is nothing to compare with."""
-    reach = 2.5 * good.grid.size_mm
-    around = within_radius(build_cells(good.points, reach), feet, reach)
-    return _largest_gaps(good.points, feet, normals, around.starts, around.indices) < MOST_OPEN
+    reach = 2.5 * surface.grid.size_mm
+    around = within_radius(build_cells(surface.points, reach), feet, reach)
+    return _largest_gaps(surface.points, feet, normals, around.starts, around.indices) < MAX_OPEN
 
 
 @njit(cache=True, nogil=True)

@@ -37,16 +37,22 @@ class Scan:
     """A scan (N, 3) in its scanner's frame with what the stages need.
 
     ``viewpoint_mm`` (3,) is the scanner, None where it is not known; then the side the normals point to is a guess.
+    ``surfels`` are fine, ``voxels`` coarse; ``features`` (M, 33) are the voxels' FPFH, (M, 0) where left out.
     """
 
     points: Floats
     viewpoint_mm: Floats | None
     surfels: Surfels
     voxels: Surfels
-    keypoints: Keypoints
+    features: Floats
+
+    @property
+    def keypoints(self) -> Keypoints:
+        """The voxels' points and normals with their ``features``, for the first alignment."""
+        return Keypoints(self.voxels.points, self.voxels.normals, self.features, self.voxels.grid.size_mm)
 
     def __str__(self) -> str:
-        return f"{len(self.points):,} points, {self.surfels}, {len(self.keypoints):,} keypoints"
+        return f"{len(self.points):,} points, {self.surfels}, {len(self.voxels):,} keypoints"
 
 
 def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
@@ -81,35 +87,33 @@ def prepare_scan(
     normals = estimate_normals(coarse.points, 2.5 * voxel, 40, viewpoint)
     if viewpoint is None:
         near, _ = nearest(build_cells(coarse.points, 2 * voxel), fine.points, 4 * voxel)
-        turned = (normals[near] * fine.normals).sum(axis=1) < 0
-        fine = replace(fine, normals=np.where(turned[:, None], -fine.normals, fine.normals))
+        facing_away = (normals[near] * fine.normals).sum(axis=1) < 0
+        fine = replace(fine, normals=np.where(facing_away[:, None], -fine.normals, fine.normals))
     else:
         fine = replace(fine, normals=orient_to_viewpoint(fine.points, fine.normals, viewpoint))
     if feature_voxels is None:
         features = np.empty((len(coarse), 0))
     else:
         features = compute_fpfh(coarse.points, normals, feature_voxels * voxel)
-    keypoints = Keypoints(coarse.points, normals, features, voxel)
-    return Scan(points, viewpoint, fine, replace(coarse, normals=normals), keypoints)
+    return Scan(points, viewpoint, fine, replace(coarse, normals=normals), features)
 
 
 def prepare_pair(
-    sample: ArrayLike, test: ArrayLike, viewpoints_mm: tuple[ArrayLike | None, ArrayLike | None] = (None, None)
+    source: ArrayLike, target: ArrayLike, viewpoints_mm: tuple[ArrayLike | None, ArrayLike | None] = (None, None)
 ) -> tuple[Scan, Scan]:
-    """Both scans at one resolution, side by side in two threads."""
-    resolution = coarser(*parallel_map(choose_resolution, (sample, test)))
-    first, second = parallel_map(prepare_scan, (sample, test), (resolution, resolution), viewpoints_mm)
+    """Both scans at one resolution, one in each of two threads."""
+    resolution = coarser(*parallel_map(choose_resolution, (source, target)))
+    first, second = parallel_map(prepare_scan, (source, target), (resolution, resolution), viewpoints_mm)
     return first, second
 
 
 def reversed_scan(scan: Scan) -> Scan:
     """The same scan with its normals pointing to the other side."""
-    keys = scan.keypoints
     return replace(
         scan,
         surfels=replace(scan.surfels, normals=-scan.surfels.normals),
         voxels=replace(scan.voxels, normals=-scan.voxels.normals),
-        keypoints=replace(keys, normals=-keys.normals, features=mirrored_fpfh(keys.features)),
+        features=mirrored_fpfh(scan.features),
     )
 
 

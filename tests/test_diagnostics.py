@@ -10,8 +10,8 @@ from grinding_scene import arc_bead, pair, plate_height, scan, view
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.geometry import move_points, random_rotation, rigid
 from grindvision.vision.change.detection import DetectOptions, detect
-from grindvision.vision.change.diagnostics import plane_share
 from grindvision.vision.registration import verification
+from grindvision.vision.surface.dominant_plane import plane_fraction
 from grindvision.vision.surface.surfels import build_surfels
 
 
@@ -162,11 +162,11 @@ def test_no_table_is_seen_on_the_part_itself(case):
         detect(*on_a_table((130, 100)))
 
 
-def test_the_share_of_a_plane_does_not_depend_on_frame_or_order(rng):
+def test_the_fraction_of_a_plane_does_not_depend_on_frame_or_order(rng):
     points, _ = on_a_table((300, 220))
-    shares = []
+    fractions = []
     for _ in range(5):
         T_other_scanner = rigid(random_rotation(rng), rng.uniform(-300, 300, 3))
         moved = move_points(T_other_scanner, rng.permutation(points))
-        shares.append(plane_share(build_surfels(moved, 10.0)))
-    assert np.ptp(shares) < 0.04
+        fractions.append(plane_fraction(build_surfels(moved, 10.0)))
+    assert np.ptp(fractions) < 0.04

@@ -1,0 +1,229 @@
+"""Registration of two scans, stage by stage: features, first alignment, verification, ICP."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import AmbiguousError, DegenerateError, InputError
+from grindvision.geometry import check_points
+from grindvision.vision.registration.deformable import refine_bent
+from grindvision.vision.registration.global_registration import propose_poses
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
+from grindvision.vision.registration.plane_icp import icp_planes
+from grindvision.vision.registration.verification import VerifiedPose, choose_pose
+from grindvision.vision.surface.scan import Scan, choose_resolution, prepare_pair, reversed_scan
+from grindvision.vision.surface.surfels import build_surfels
+
+Floats = NDArray[np.float64]
+Viewpoints = tuple[ArrayLike | None, ArrayLike | None]
+
+STAGES = ("features", "coarse", "verification", "icp")
+"""What ``register`` does, in order."""
+
+MIN_POINTS = 500
+"""A scan of fewer points shows too few surfels to be registered."""
+
+CERTAIN = 0.5
+"""Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow."""
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Settings of ``register``: ``seed`` of the random draws; the scanners' places (3,) in mm, each in the frame of its
+    scan, where they are known."""
+
+    seed: int = 0
+    viewpoint_source_mm: ArrayLike | None = None
+    viewpoint_target_mm: ArrayLike | None = None
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Result of ``register``: both scans as they were compared, the two stages of the pose, and the stages' times.
+
+    ``coarse`` is the verified first alignment with its rivals, ``fine`` the pose after ICP with its covariance.
+    """
+
+    source: Scan
+    target: Scan
+    coarse: VerifiedPose
+    fine: FineRegistration
+    timings_s: dict[str, float] = field(compare=False)
+
+    @property
+    def T_target_source(self) -> Floats:
+        """The pose (4, 4): T_target_source @ p_source = p_target."""
+        return self.fine.T_target_source
+
+    @property
+    def confidence(self) -> float:
+        """How sure the pose is, 0..1: how much better it fits than its best rival."""
+        return self.coarse.confidence
+
+    @property
+    def overlap(self) -> float:
+        """Fraction of the source that lies on the target's surface."""
+        return self.fine.overlap
+
+    def __str__(self) -> str:
+        return f"{self.fine}; confidence {self.confidence:.2f}"
+
+
+class StageClock:
+    """Seconds that each stage took, ``laps_s``; ``finished`` is told the name of each when it is done."""
+
+    def __init__(self, finished: Callable[[str], None] | None = None) -> None:
+        self.finished = finished
+        self.laps_s: dict[str, float] = {}
+        self.last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        """The stage ``name`` is done."""
+        now = time.perf_counter()
+        self.laps_s[name] = now - self.last
+        self.last = now
+        if self.finished is not None:
+            self.finished(name)
+
+
+def register(
+    source: ArrayLike,
+    target: ArrayLike,
+    options: RegisterOptions | None = None,
+    finished: Callable[[str], None] | None = None,
+) -> Registration:
+    """Find the pose that brings a scan (N, 3) onto another one (M, 3), both in mm, wherever they were taken from.
+
+    Nothing needs to be known of the pose. Two scans that leave it open (symmetric parts, bare planes) are refused, and
+    the motion that is free is named.
+
+    Parameters
+    ----------
+    source
+        Points (N, 3) of the scan that is moved.
+    target
+        Points (M, 3) of the scan that it is brought onto.
+    options
+        Seed and viewpoints.
+    finished
+        Is told the name of each stage (``STAGES``) when it is done.
+
+    Returns
+    -------
+    Registration
+        The pose ``T_target_source`` (4, 4) with its covariance, confidence and overlap.
+
+    Raises
+    ------
+    InputError
+        NaN points, numbers that are no points, or scans that fit as mirror images only.
+    UnitError
+        One scan is many times larger than the other.
+    DegenerateError
+        Too few points; the scans do not fit or do not overlap enough. ``AmbiguousError``: a motion is free.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from grindvision import register
+    >>> x, y = np.meshgrid(np.arange(-60.0, 60.0), np.arange(-40.0, 40.0))
+    >>> z = 0.004 * x * x + 6 * np.exp(-((x - 25) ** 2 + (y + 10) ** 2) / 90) + 0.05 * y
+    >>> target = np.column_stack([x.ravel(), y.ravel(), 400 - z.ravel()])
+    >>> source = target - [3.0, -2.0, 5.0]
+    >>> found = register(source, target)
+    >>> np.abs(found.T_target_source[:3, 3] - [3.0, -2.0, 5.0]).max() < 0.01
+    True
+    """
+    options = RegisterOptions() if options is None else options
+    clock = StageClock(finished)
+    viewpoints_mm = options.viewpoint_source_mm, options.viewpoint_target_mm
+    rng = np.random.default_rng(options.seed)
+    return register_pair(source, target, viewpoints_mm, rng, clock, PairNames("source", "target"))
+
+
+def register_pair(
+    source: ArrayLike,
+    target: ArrayLike,
+    viewpoints_mm: Viewpoints,
+    rng: np.random.Generator,
+    clock: StageClock,
+    names: PairNames,
+) -> Registration:
+    """``register`` with its draws from ``rng`` and ``names`` for the two scans in its messages."""
+    source = check_points(source, f"{names.source} points", MIN_POINTS)
+    target = check_points(target, f"{names.target} points", MIN_POINTS)
+    check_same_unit(source, target, names)
+    try:
+        prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
+    except DegenerateError as refusal:
+        surfels = (build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target))
+        if table := diagnose_table(*surfels, names):
+            raise type(refusal)(f"{refusal}; and {table}") from None
+        # what leaves a motion free mostly fits its mirror image too
+        if not isinstance(refusal, AmbiguousError) and _fits_mirrored(source, target, viewpoints_mm, rng):
+            raise InputError(
+                f"the {names.source} scan fits the {names.target} only as its mirror image: one of the two was exported"
+                " left-handed (two axes swapped, or one with the wrong sign); export it again; or do they show a"
+                " symmetric part from its two sides?"
+            ) from None
+        raise
+    clock.lap("verification")
+    fine = refine(prepared_source, prepared_target, coarse, rng)
+    clock.lap("icp")
+    return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
+
+
+def propose(source: Scan, target: Scan, rng: np.random.Generator) -> tuple[Scan, Floats]:
+    """Likely poses T_target_source (K, 4, 4); where no viewpoint tells the source's outside, the side that fits better.
+
+    Returns the source, reversed if that fits better, and the poses.
+    """
+    poses, votes = propose_poses(source.keypoints, target.keypoints, rng)
+    if target.viewpoint_mm is None or source.viewpoint_mm is None:
+        other = reversed_scan(source)
+        try:
+            other_poses, other_votes = propose_poses(other.keypoints, target.keypoints, rng)
+        except DegenerateError:
+            return source, poses
+        if other_votes[0] > votes[0]:
+            return other, other_poses
+    return source, poses
+
+
+def refine(
+    source: Scan, target: Scan, coarse: VerifiedPose, rng: np.random.Generator, n_surfels: int = 6_000
+) -> FineRegistration:
+    """Point-to-plane ICP on fine surfels from the verified pose, then once more with a smooth bending allowed."""
+    chosen = np.sort(rng.permutation(len(source.surfels))[:n_surfels])  # neighbours in a row share the cache
+    places, normals = source.surfels.points[chosen], source.surfels.normals[chosen]
+    size = target.surfels.grid.size_mm
+    found = icp_planes(places, normals, target.surfels, coarse.registration.T_target_source, 2 * size)
+    return refine_bent(places, normals, target.surfels, found)
+
+
+def _first_alignment(
+    source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator, clock: StageClock
+) -> tuple[Scan, Scan, VerifiedPose]:
+    """Both scans made ready, and the verified pose between them."""
+    prepared_source, prepared_target = prepare_pair(source, target, viewpoints_mm)
+    clock.lap("features")
+    prepared_source, poses = propose(prepared_source, prepared_target, rng)
+    clock.lap("coarse")
+    return prepared_source, prepared_target, choose_pose(prepared_source, prepared_target, poses, rng)
+
+
+def _fits_mirrored(source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator) -> bool:
+    """Whether the mirror image of the source (N, 3) fits the target (M, 3), and not by chance."""
+    mirror = np.array([1.0, -1.0, 1.0])
+    seen_from = None if viewpoints_mm[0] is None else np.asarray(viewpoints_mm[0], dtype=float) * mirror
+    try:
+        *_, pose = _first_alignment(source * mirror, target, (seen_from, viewpoints_mm[1]), rng, StageClock())
+    except DegenerateError:
+        return False
+    return pose.confidence >= CERTAIN
