@@ -162,8 +162,10 @@ def register_pair(
     try:
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
     except DegenerateError as refusal:
-        surfels = (build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target))
-        if table := diagnose_table(*surfels, names):
+        coarse_source, coarse_target = (
+            build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
+        )
+        if table := diagnose_table(coarse_source, coarse_target, names):
             raise type(refusal)(f"{refusal}; and {table}") from None
         # what leaves a motion free mostly fits its mirror image too
         if not isinstance(refusal, AmbiguousError) and _fits_mirrored(source, target, viewpoints_mm, rng):
