@@ -35,7 +35,7 @@ READERS: dict[str, Callable[[Path, BinaryIO], Content]] = {
     ".stl": read_stl,
     ".obj": read_obj,
 }
-MM_PER = {"mm": 1.0, "m": 1000.0}
+MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 SMALLEST_MM, LARGEST_MM = 5.0, 20_000.0
 """Diagonals of scans of parts that an arm can work on; outside, the unit is wrong."""
@@ -58,13 +58,15 @@ class Cloud:
     """Points (N, 3) in mm and, where known, unit normals (N, 3).
 
     ``grid`` is (rows, columns) of an organised cloud, whose points are stored row by row; None otherwise. ``mesh`` says
-    that they are of a surface in the file, a CAD model's or one that software made of scans.
+    that they are of a surface in the file, a CAD model's or one that software made of scans. ``stated_unit`` is the
+    unit that the file itself names, if it does.
     """
 
     points: Floats
     normals: Floats | None = None
     grid: tuple[int, int] | None = None
     mesh: bool = False
+    stated_unit: str | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -81,7 +83,7 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
 
     Args:
         path: file with one of the suffixes of ``READERS``.
-        unit: unit of the numbers in the file, ``mm`` or ``m``; left out: what the file says, else mm.
+        unit: unit of the numbers in the file, one of ``MM_PER``; left out: what the file says, else mm.
 
     Raises:
         FileError: missing, empty, damaged, shorter than its header says, or of an unknown format.
@@ -96,7 +98,7 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise FileError(f"{path}: format {path.suffix or '(none)'} is not read; use one of {', '.join(READERS)}")
-    with open_input(path) as file:
+    with open_input(path) as file, np.errstate(all="ignore"):  # what overflows or is no number is judged later
         if bytes_left(file) == 0:
             raise FileError(f"{path}: the file is empty; export the cloud again")
         content = reader(path, file)
@@ -108,7 +110,7 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
         warnings.warn(f"{path}: {content.note}", GrindvisionWarning, stacklevel=2)
     scale = MM_PER[unit or content.unit or "mm"]
     points = content.points if scale == 1.0 else content.points * scale
-    return Cloud(points, content.normals, content.grid, content.mesh)
+    return Cloud(points, content.normals, content.grid, content.mesh, content.unit)
 
 
 def finite_points(cloud: Cloud, name: str) -> Floats:
@@ -167,12 +169,12 @@ def check_unit(points: ArrayLike, name: str, unit: str | None = None) -> None:
     diagonal = float(np.linalg.norm(high - low))
     farthest = float(np.abs([low, high]).max())
     if 0 < diagonal < SMALLEST_MM:
-        hint = "the numbers look like metres, say --unit m" if unit != "m" else "no part for an arm is so small"
+        hint = "no part for an arm is so small" if unit == "m" else "the numbers look like metres, say --unit m"
         raise UnitError(f"{name}: only {diagonal:.3g} mm across; {hint}")
     if 0 < diagonal < SURE_MM and unit is None:
-        raise UnitError(f"{name}: {diagonal:.3g} across; say --unit mm or --unit m, the size leaves it in doubt")
+        raise UnitError(f"{name}: {diagonal:.3g} across; say --unit mm, cm, m or in, the size leaves it in doubt")
     if not diagonal <= LARGEST_MM:
-        hint = "the numbers look like millimetres, say --unit mm" if unit == "m" else "remove far outliers"
+        hint = "remove far outliers" if unit in (None, "mm") else "the numbers look like millimetres, say --unit mm"
         raise UnitError(f"{name}: {diagonal:.3g} mm across; {hint}")
     if farthest > FARTHEST_MM:
         raise UnitError(

@@ -206,7 +206,7 @@ def shapes(points):
     yield "a_line", np.outer(np.linspace(0, 300, 900), [1, 2, 3]), ""
     yield "a_plane", flat, ""
     yield "metres", points / 1000, "--unit m"
-    yield "in_doubt", (points - middle) / np.linalg.norm(np.ptp(points, axis=0)) * 12, "--unit mm or --unit m"
+    yield "in_doubt", (points - middle) / np.linalg.norm(np.ptp(points, axis=0)) * 12, "--unit mm, cm, m or in"
     yield "micrometres", points * 1000, "mm across"
     yield "far_away", points + 1e7, "subtract the offset"
     yield "overflowing", points * 1e300, "mm across"
@@ -355,7 +355,7 @@ def test_parameters_of_any_kind(good, obeys, tmp_path, content):
         ("waypionts = 9", "did you mean waypoints?"),
         ("waypoints = '9'", "waypoints is '9'; write a whole number"),
         ("waypoints = 9.5", "write a whole number"),
-        ("unit = 'inch'", "choose from mm, m"),
+        ("unit = 'inch'", "choose from mm, cm, m, in"),
         ("viewpoint = [1, 2]", "give 3 value(s)"),
         ("viewpoint = [1, 2, inf]", "write a number"),
         ("output = 'x'", "'output' is no parameter"),

@@ -359,7 +359,7 @@ def test_an_archive_is_judged_by_its_sizes_before_it_is_unpacked(tmp_path):
 
 def test_a_doubtful_size_asks_for_the_unit(points):
     small = points / np.linalg.norm(np.ptp(points, axis=0)) * 12
-    with pytest.raises(UnitError, match="say --unit mm or --unit m"):
+    with pytest.raises(UnitError, match="say --unit mm, cm, m or in"):
         check_unit(small, "a.ply")
     check_unit(small, "a.ply", "mm")
     with pytest.raises(UnitError, match="subtract the offset"):

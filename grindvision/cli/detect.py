@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, whole
@@ -10,16 +11,20 @@ from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
     add_field_argument,
+    add_mirrored_argument,
     add_unit_argument,
     add_viewpoint_argument,
     check_own_frame,
     corrected,
+    pose_doubts,
     read_correction,
     read_pose,
     read_scans,
     rows_text,
+    size_question,
     where_it_stood,
 )
+from grindvision.errors import GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +41,7 @@ results in DIR:
   path_base.csv    the same in the robot's base frame, with --scanner-pose
   difference.ply   the points that stand out, scanner frame of TEST
   report.png       did it work? the scans before and after, the difference, the path
-  report.json      T_sample_test, confidence, beads, timings, versions, parameters; written last
+  report.json      T_sample_test, confidence, beads, timings, versions, parameters, questions; written last
 
 exit code: 0 done (also when there is nothing to grind), 2 the input cannot be used (one line says why), 1 anything else
 
@@ -62,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST")
+    add_mirrored_argument(scans, "SAMPLE and TEST")
+    scans.add_argument(
+        "--mirrored-only",
+        choices=("sample", "test"),
+        help="only this one of the two clouds is mirrored (default: both)",
+    )
     add_field_argument(scans)
     scans.add_argument(
         "--sample-model",
@@ -79,6 +90,8 @@ def run(options: argparse.Namespace) -> int:
     """Run it."""
     check_count("--points", options.points, 1, 100_000)
     check_count("--seed", options.seed, 0, 10**18)
+    if options.mirrored is None and options.mirrored_only is not None:
+        raise InputError("--mirrored-only says which cloud --mirrored is for; give --mirrored as well, or leave it out")
 
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points, write_ply
@@ -93,10 +106,12 @@ def run(options: argparse.Namespace) -> int:
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
         paths = (options.sample, options.test)
         with work.stage("read"):
-            clouds = read_scans(paths, options.unit)
+            clouds = read_scans(paths, options.unit, _mirrored(options))
             sample, test = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
             if field is not None:
                 sample, test = _corrected_pair(field, options, clouds, [sample, test])
+        for doubt in [] if T_base_scanner is None else pose_doubts(T_base_scanner, test):
+            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
         found = detect(sample, test, settings, work.finished)
         with work.stage("write"):
@@ -108,9 +123,17 @@ def run(options: argparse.Namespace) -> int:
             write_ply(work.place / "difference.ply", found.difference.points)
         with work.stage("picture"):
             draw(found, work.warnings, work.place / "report.png")
-        stood = "" if T_base_scanner is None else where_it_stood(T_base_scanner)
-        work.report(str(found), _results(found), _from_the_data(options, clouds[0], found), found.timings_s, stood)
+        questions = [size_question(("SAMPLE", "TEST"), clouds)]
+        if T_base_scanner is not None:
+            questions.append(where_it_stood(T_base_scanner))
+        values = _from_the_data(options, clouds[0], found)
+        work.report(str(found), _results(found), values, found.timings_s, questions=questions)
     return 0
+
+
+def _mirrored(options: argparse.Namespace) -> list[str | None]:
+    """For SAMPLE and TEST the axis that counts the wrong way, or None."""
+    return [options.mirrored if options.mirrored_only in (None, name) else None for name in ("sample", "test")]
 
 
 def _results(found: Detection) -> dict[str, Any]:

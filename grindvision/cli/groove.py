@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, number, whole
@@ -11,15 +12,18 @@ from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_j
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
     add_field_argument,
+    add_mirrored_argument,
     add_unit_argument,
     add_viewpoint_argument,
     corrected,
+    pose_doubts,
     read_correction,
     read_scans,
     rows_text,
+    size_question,
     where_it_stood,
 )
-from grindvision.errors import InputError
+from grindvision.errors import GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scan.add_argument("cloud", metavar="CLOUD", help=f"scan of the workpiece ({CLOUD_FORMATS})")
     add_unit_argument(scan)
     add_viewpoint_argument(scan, "--viewpoint", "CLOUD")
+    add_mirrored_argument(scan, "CLOUD")
     add_field_argument(scan)
     groove = parser.add_argument_group("groove and path")
     groove.add_argument("--waypoints", type=whole, default=50, metavar="N", help="along each groove (default: 50)")
@@ -98,11 +103,13 @@ def run(options: argparse.Namespace) -> int:
     outdated = ("trajectory_[0-9]*.csv", "program.csv", "program.json", "program.script")
     with Run(options, ("cloud",), libraries, 6 if job else 5, outdated) as work:
         with work.stage("read"):
-            (cloud,) = read_scans((options.cloud,), options.unit)
+            (cloud,) = read_scans((options.cloud,), options.unit, (options.mirrored,))
             rows, (copies, originals) = usable_rows(cloud, options.cloud)
             points = cloud.points if rows.all() else cloud.points[rows]
             if field is not None:
                 points = corrected(field, cloud, points, options.cloud)
+        for doubt in pose_doubts(job.T_base_scanner, points) if job else []:
+            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         weld = trace_weld(points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels
@@ -128,8 +135,8 @@ def run(options: argparse.Namespace) -> int:
                 np.save(temporary, labels)
         with work.stage("picture"):
             draw(weld, points, work.warnings, work.place / "report.png")
-        stood = "" if job is None else where_it_stood(job.T_base_scanner)
-        work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, stood)
+        questions = [size_question(("CLOUD",), (cloud,))] + ([where_it_stood(job.T_base_scanner)] if job else [])
+        work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, questions=questions)
     return 0
 
 

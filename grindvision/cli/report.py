@@ -138,8 +138,9 @@ class Run:
         from_the_data: Mapping[str, Any],
         times_s: Mapping[str, float] | None = None,
         shown: str = "",
+        questions: Sequence[str] = (),
     ) -> None:
-        """Write parameters.toml and report.json; ``shown`` is printed at the end with the names of all files.
+        """Write parameters.toml and report.json; what is to be read is printed at the end with the names of all files.
 
         Args:
             message: the result in one line.
@@ -147,6 +148,7 @@ class Run:
             from_the_data: parameters that were not given but followed from the data.
             times_s: seconds of stages that another room timed.
             shown: further lines for a person.
+            questions: what the data cannot tell and a person should look at: sizes, places; in report.json too.
         """
         parameters = {
             name.replace("_", "-"): value
@@ -165,6 +167,7 @@ class Run:
             "command": self._options.command,
             "message": message,
             "warnings": self.warnings,
+            "questions": list(questions),
             **results,
             "timings_s": {
                 name: round(value, 6) for name, value in ({**self._times_s, **(times_s or {}), "total": total}).items()
@@ -178,7 +181,7 @@ class Run:
         }
         text = json.dumps(plain(content), indent=2, ensure_ascii=False)
         write_text(self.place / REPORT, text + "\n")
-        lines = [message, shown, f"in {self._options.output}: {', '.join(names)}"]
+        lines = [message, shown, *questions, f"in {self._options.output}: {', '.join(names)}"]
         self._output = text if self._options.json else "\n".join(line for line in lines if line)
 
 

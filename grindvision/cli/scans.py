@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +24,15 @@ CLOUD_FORMATS = "PLY, PCD, XYZ, ASC, TXT, PTS, CSV, NPY, NPZ, STL or OBJ"
 #: A scanner nearer to a robot's base than this (mm) is one whose pose is in metres.
 NEAREST_MM = 10.0
 
+#: A scanner nearer than this (mm) would stand within the arm's foot; parts farther off or deeper are out of its reach.
+INSIDE_ARM_MM, FARTHEST_REACH_MM, DEEPEST_MM = 150.0, 5000.0, -500.0
+
+#: Parts that are smaller (mm) and whose unit nobody stated may be in centimetres.
+SMALL_MM = 60.0
+
+#: Pixels that tell something at least, and the fraction of them that tells that an image is mirrored.
+FEWEST_PIXELS, NEARLY_ALL = 200, 0.99
+
 #: Share of a scan outside the calibrated volume that is worth a word.
 MUCH_OUTSIDE = 0.1
 
@@ -30,9 +41,19 @@ def add_unit_argument(group: argparse._ArgumentGroup) -> None:
     """``--unit``."""
     group.add_argument(
         "--unit",
-        choices=("mm", "m"),
+        choices=("mm", "cm", "m", "in"),
         help="unit of the numbers in the files (default: what the file says, else mm; asked for where the size of the"
         " cloud leaves it in doubt)",
+    )
+
+
+def add_mirrored_argument(group: argparse._ArgumentGroup, what: str) -> None:
+    """``--mirrored``."""
+    group.add_argument(
+        "--mirrored",
+        choices=("x", "y", "z"),
+        help=f"the axis of {what} that counts the wrong way, where the file was exported left-handed: its numbers"
+        " change their sign before all else, and everything is told in the right-handed frame",
     )
 
 
@@ -115,11 +136,19 @@ def corrected(
     return moved
 
 
-def read_scans(paths: Sequence[str], unit: str | None) -> list[Cloud]:
+def read_scans(paths: Sequence[str], unit: str | None, mirrored: Sequence[str | None] = ()) -> list[Cloud]:
     """Clouds of some files, side by side in threads, each refused where its size says another unit.
+
+    Args:
+        paths: of the files.
+        unit: as in ``read_cloud``.
+        mirrored: for each file the axis whose numbers change their sign, as it was exported left-handed, or None.
 
     Raises:
         FileError, InputError, UnitError: see ``read_cloud``, ``finite_points`` and ``check_unit``.
+
+    Warns:
+        GrindvisionWarning: a cloud is small for a part in the unit that nobody stated; its pixels run as in a mirror.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -127,9 +156,66 @@ def read_scans(paths: Sequence[str], unit: str | None) -> list[Cloud]:
 
     with ThreadPoolExecutor(len(paths)) as pool:
         clouds = list(pool.map(lambda path: read_cloud(path, unit), paths))
+    clouds = [right_handed(cloud, axis) for cloud, axis in zip_longest(clouds, mirrored)]
     for cloud, path in zip(clouds, paths, strict=True):
         check_unit(cloud.points, path, unit)
+        for doubt in (_small(cloud, unit), _mirrored(cloud)):
+            if doubt:
+                warnings.warn(f"{path}: {doubt}", GrindvisionWarning, stacklevel=2)
     return clouds
+
+
+def right_handed(cloud: Cloud, axis: str | None) -> Cloud:
+    """A cloud whose numbers along ``axis`` counted the wrong way; None: as it is."""
+    if axis is None:
+        return cloud
+    import numpy as np
+
+    signs = np.where(np.array(["x", "y", "z"]) == axis, -1.0, 1.0)
+    return replace(cloud, points=cloud.points * signs, normals=None if cloud.normals is None else cloud.normals * signs)
+
+
+def size_question(names: Sequence[str], clouds: Sequence[Cloud]) -> str:
+    """The size of every cloud in words, so that a file in another unit can be seen."""
+    from grindvision.clouds import extent
+
+    sizes = [
+        f"{name} {' x '.join(f'{side:.4g}' for side in extent(cloud.points))} mm"
+        for name, cloud in zip(names, clouds, strict=True)
+    ]
+    return f"along x, y, z: {', '.join(sizes)}: is that {'its' if len(sizes) == 1 else 'their'} size?"
+
+
+def _small(cloud: Cloud, unit: str | None) -> str:
+    """In words, where a cloud whose unit nobody stated is small for a part that an arm works on."""
+    import numpy as np
+
+    from grindvision.clouds import extent
+
+    diagonal = float(np.linalg.norm(extent(cloud.points)))
+    if unit is not None or cloud.stated_unit or diagonal >= SMALL_MM:
+        return ""
+    return f"{diagonal:.3g} mm across: are its numbers centimetres? Then say --unit cm, else --unit mm"
+
+
+def _mirrored(cloud: Cloud) -> str:
+    """In words, where rows and columns of an organised cloud run as no camera at the origin stores them."""
+    if cloud.grid is None or min(cloud.grid) < 2:
+        return ""
+    import numpy as np
+
+    pixels = cloud.points.reshape(*cloud.grid, 3)
+    corner = pixels[:-1, :-1]
+    with np.errstate(all="ignore"):
+        facing = np.cross(pixels[:-1, 1:] - corner, pixels[1:, :-1] - corner)
+        along = (facing * corner).sum(axis=2)
+    told = np.isfinite(along) & (along != 0)
+    if told.sum() < FEWEST_PIXELS or (along[told] < 0).mean() < NEARLY_ALL:
+        return ""
+    return (
+        "its rows and columns run as in a mirror image: exported left-handed? Then say --mirrored with the axis that"
+        " counts the wrong way; or was the image stored upside down, or moved out of the scanner's frame?"
+    )
 
 
 def read_pose(path: str | Path) -> np.ndarray:
@@ -152,11 +238,46 @@ def read_pose(path: str | Path) -> np.ndarray:
         content = content["T_base_scanner"]
     pose = check_rigid(content, f"{path}: T_base_scanner", tolerance=1e-3)
     shift = float(np.linalg.norm(pose[:3, 3]))
+    if shift == 0 and not np.array_equal(pose, np.eye(4)):
+        raise InputError(
+            f"{path}: T_base_scanner has no translation: the scanner would stand in the robot's base; give all of it"
+        )
     if 0 < shift < NEAREST_MM or shift > FARTHEST_MM:
         raise UnitError(
             f"{path}: T_base_scanner shifts by {shift:.3g} mm, where no scanner stands: metres? give millimetres"
         )
     return pose
+
+
+def pose_doubts(T_base_scanner: np.ndarray, points: np.ndarray) -> list[str]:
+    """What speaks against a scanner's pose (4, 4) for scanned points (N, 3): identity, centimetres, its inverse."""
+    import numpy as np
+
+    from grindvision.geometry import inverse, move_points
+
+    if np.array_equal(T_base_scanner, np.eye(4)):
+        return ["T_base_scanner is the identity: right only for a scan that is in the robot's base frame already"]
+    found = []
+    shift = float(np.linalg.norm(T_base_scanner[:3, 3]))
+    if shift < INSIDE_ARM_MM:
+        found.append(
+            f"by T_base_scanner the scanner stands {shift:.0f} mm from the origin of the robot's base, within the arm's"
+            " foot: centimetres? give millimetres"
+        )
+    part, other = (np.median(move_points(pose, points), axis=0) for pose in (T_base_scanner, inverse(T_base_scanner)))
+    away, other_away = float(np.linalg.norm(part)), float(np.linalg.norm(other))
+    inverse_fits = other_away <= FARTHEST_REACH_MM and other[2] >= DEEPEST_MM
+    hint = (
+        f"; with its inverse the part would lie {other_away / 1000:.1f} m away, {other[2]:.0f} mm high: is it"
+        " T_scanner_base?"
+        if inverse_fits
+        else ""
+    )
+    if away > FARTHEST_REACH_MM:
+        found.append(f"by T_base_scanner the part lies {away / 1000:.1f} m from the base, where no arm reaches{hint}")
+    elif part[2] < DEEPEST_MM and inverse_fits:
+        found.append(f"by T_base_scanner the part lies {-part[2]:.0f} mm below the robot's base{hint}")
+    return found
 
 
 def where_it_stood(T_base_scanner: np.ndarray) -> str:

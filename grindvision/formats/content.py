@@ -18,8 +18,9 @@ PCD_NORMAL = ("normal_x", "normal_y", "normal_z")
 class Content:
     """Points (N, 3) and, where the file has them, normals (N, 3), in the file's own unit.
 
-    ``grid``: (rows, columns) of an organised cloud. ``unit``: ``mm`` or ``m`` where the file names it. ``note``: what
-    the reader had to decide, for the user to see. ``mesh``: the file holds a surface, not points as a scanner saw them.
+    ``grid``: (rows, columns) of an organised cloud. ``unit``: ``mm``, ``cm``, ``m`` or ``in``, if it names one.
+    ``note``: what the reader had to decide, for the user to see. ``mesh``: the file holds a surface, not points as a
+    scanner saw them.
     """
 
     points: Floats

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,6 +17,9 @@ from grindvision.input_files import read_rest
 Floats = NDArray[np.float64]
 
 STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+#: Stored normals that tell something at least, and the fraction of them that tells that a mesh is mirrored.
+FEWEST_NORMALS, NEARLY_ALL = 12, 0.99
 
 #: What a triangle takes while its mesh is read: its bytes, strings, corners, edges, and the sorting of its vertices.
 MEMORY_PER_MESH_BYTE = 12.0
@@ -48,7 +52,24 @@ def read_stl(path: Path, file: BinaryIO) -> Content:
             f"{path}: the header announces {count} triangles, the file holds {max(len(data) - 84, 0)} bytes;"
             " it is cut short or damaged"
         )
-    return _surface(np.frombuffer(data, STL_RECORD, count, 84)["corners"].astype(float))
+    records = np.frombuffer(data, STL_RECORD, count, 84)
+    found = _surface(records["corners"].astype(float))
+    return replace(found, note="; ".join(filter(None, (found.note, _inside_out(records)))))
+
+
+def _inside_out(records: NDArray[np.void]) -> str:
+    """In words, where nearly all normals that a binary STL stores point against the order of their corners."""
+    corners, stored = records["corners"].astype(float), records["normal"].astype(float)
+    with np.errstate(all="ignore"):
+        wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        along = (wound * stored).sum(axis=1)
+    told = np.isfinite(along) & (along != 0)
+    if told.sum() < FEWEST_NORMALS or (along[told] < 0).mean() < NEARLY_ALL:
+        return ""
+    return (
+        f"{(along[told] < 0).mean():.0%} of its {told.sum():,} normals point against the order of the corners, as in a"
+        " mirrored (left-handed) export; if it is one, say --mirrored x, y or z, the axis that counts the wrong way"
+    )
 
 
 def read_obj(path: Path, file: BinaryIO) -> Content:

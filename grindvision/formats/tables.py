@@ -19,7 +19,7 @@ MOST_HEADER_LINES = 50
 SAMPLE = 20
 
 #: A column's name as exporters write it: x, "X", x_mm, x [mm], X/m, Nx, normal_x; ParaView counts: Points:0.
-AXIS = re.compile(r"(n?[xyz]|normal_[xyz])(?:[ _/\[(]*(mm|m)[\])]?)?")
+AXIS = re.compile(r"(n?[xyz]|normal_[xyz])(?:[ _/\[(]*(mm|cm|m|in)[\])]?)?")
 PARAVIEW = {"points:0": "x", "points:1": "y", "points:2": "z", "normals:0": "nx", "normals:1": "ny", "normals:2": "nz"}
 
 

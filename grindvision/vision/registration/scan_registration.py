@@ -171,8 +171,8 @@ def register_pair(
         if not isinstance(refusal, AmbiguousError) and _fits_mirrored(source, target, viewpoints_mm, rng):
             raise InputError(
                 f"the {names.source} scan fits the {names.target} only as its mirror image: one of the two was exported"
-                " left-handed (two axes swapped, or one with the wrong sign); export it again; or do they show a"
-                " symmetric part from its two sides?"
+                " left-handed (two axes swapped, or one with the wrong sign); export it again, or say"
+                " --mirrored; or do they show a symmetric part from its two sides?"
             ) from None
         raise
     clock.lap("verification")
