@@ -20,7 +20,7 @@ from benchmarks.races import Plan, Race
 from benchmarks.racing import Measurement, Racer, judge_more, race
 from grindvision.errors import GrindvisionError
 from grindvision.files import writable_folder
-from grindvision_book.places import FIGURES
+from grindvision_book.machinery.places import FIGURES
 
 JUDGED = (
     "judged: runs whose answers count for failures and errors; beyond the timed rounds, each of these was run once on"

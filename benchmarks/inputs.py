@@ -18,7 +18,7 @@ from grindvision.files import write_text, write_whole
 from grindvision.geometry import move_points, rigid, rotation_about
 from grindvision.vision.surface.normals import estimate_normals
 from grindvision.vision.surface.voxel_grid import voxel_grid
-from grindvision_book.places import BUILD
+from grindvision_book.machinery.places import BUILD
 
 CACHE = BUILD / "benchmarks"
 

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.places import ROOT
 
 LIBRARIES = ("grindvision", "numpy", "scipy", "numba", "open3d-cpu", "open3d", "small-gicp", "kiss-matcher")
 PROGRAMS = {"PCL": ("pkg-config", "--modversion", "pcl_common"), "g++": ("g++", "-dumpfullversion")}

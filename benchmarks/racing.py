@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.places import ROOT
 
 Arrays = Mapping[str, np.ndarray]
 Judge = Callable[[Arrays, Any], dict[str, float]]

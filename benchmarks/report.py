@@ -19,10 +19,10 @@ import grindvision_book
 from benchmarks.racing import Measurement
 from grindvision.files import write_text, write_whole
 from grindvision_book import COLOURS
-from grindvision_book.figures import csv_text, markdown_table
+from grindvision_book.machinery.figures import csv_text, markdown_table
 
 KINDS = {"ours": "grindvision", "paper_variant": "grindvision, the paper's variant", "peer": "peer"}
-STYLE = Path(grindvision_book.__file__).with_name("book.mplstyle")
+STYLE = Path(grindvision_book.__file__).parent / "machinery" / "book.mplstyle"
 ORIGIN = "Inputs are synthetic, made by grindvision's own cell from the seed below; times and memory are measured."
 LABELS = {
     "median_s": "median time (s), from min to max",

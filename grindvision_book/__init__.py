@@ -1,5 +1,9 @@
 """Runs chapters, saves figures and tables, keeps the scoreboard, builds the HTML book.
 
+``chapter_NN`` holds what chapter NN computes and draws beyond ten lines, ``studies`` runs a case many times,
+``machinery`` runs the chapters and publishes what they make, ``exercises`` checks solutions, ``site`` makes the HTML
+book.
+
 Names are fetched from their modules when first used.
 """
 
@@ -9,11 +13,11 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "answers": ("answer", "scoreboard", "verdicts"),
+    "machinery.answers": ("answer", "scoreboard", "verdicts"),
     "exercises.checking": ("check", "progress"),
-    "figures": ("save_figure", "save_scene", "save_table"),
-    "session": ("COLOURS", "fast", "provenance", "start"),
-    "sliders": ("slider",),
+    "machinery.figures": ("save_figure", "save_scene", "save_table"),
+    "machinery.session": ("COLOURS", "fast", "provenance", "start"),
+    "machinery.sliders": ("slider",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import nbformat
 from nbformat.v4 import new_output
 
-from grindvision_book.chapters import chapters
-from grindvision_book.places import FIGURES
+from grindvision_book.machinery.chapters import chapters
+from grindvision_book.machinery.places import FIGURES
 from grindvision_book.site import build_site
 
 #: What a cell of chapter 07 is made to have printed.

@@ -18,10 +18,10 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 import grindvision_book as book
 from grindvision import cli, paper
 from grindvision.errors import FileError, InputError
-from grindvision_book.answers import judged, verdict, write_scoreboard
-from grindvision_book.chapters import chosen
-from grindvision_book.kernels import kernel_environment
-from grindvision_book.rebuilding import rebuild
+from grindvision_book.machinery.answers import judged, verdict, write_scoreboard
+from grindvision_book.machinery.chapters import chosen
+from grindvision_book.machinery.kernels import kernel_environment
+from grindvision_book.machinery.rebuilding import rebuild
 
 EXPECTED = paper.expected()
 FIRST = EXPECTED.iloc[0]

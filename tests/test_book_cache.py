@@ -12,14 +12,14 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, writes
 
 from grindvision.cli import main
 from grindvision.errors import FileError
-from grindvision_book import kept
-from grindvision_book.chapters import chapters
-from grindvision_book.dependencies import modules_of, modules_of_notebook
-from grindvision_book.one_at_a_time import only_build
-from grindvision_book.places import BUILD
-from grindvision_book.reading import ReadingPage, write_page
-from grindvision_book.rebuilding import Outcome, rebuild
-from grindvision_book.schedule import Remaining, longest_first, record_seconds, recorded_seconds
+from grindvision_book.machinery import kept
+from grindvision_book.machinery.chapters import chapters
+from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook
+from grindvision_book.machinery.one_at_a_time import only_build
+from grindvision_book.machinery.places import BUILD
+from grindvision_book.machinery.reading import ReadingPage, write_page
+from grindvision_book.machinery.rebuilding import Outcome, rebuild
+from grindvision_book.machinery.schedule import Remaining, longest_first, record_seconds, recorded_seconds
 
 TABLE = (
     "import grindvision_book as book\nimport pandas as pd\nbook.start('01')\n"
@@ -189,12 +189,13 @@ def test_a_second_build_is_refused_in_one_line(capsys):
 
 
 def test_the_lock_is_free_again_after_a_kill(tmp_path):
-    code = f"from grindvision_book.one_at_a_time import only_build\nimport os\nwith only_build({str(tmp_path)!r}"
     code = (
-        code.replace("only_build('", "only_build(__import__('pathlib').Path('").rstrip()
-        + ")):\n    os.kill(os.getpid(), 9)"
+        "import os, pathlib, sys\n"
+        "from grindvision_book.machinery.one_at_a_time import only_build\n"
+        "with only_build(pathlib.Path(sys.argv[1])):\n"
+        "    os.kill(os.getpid(), 9)"
     )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path)]).returncode == -9
     with only_build(tmp_path), pytest.raises(FileError, match="another build"), only_build(tmp_path):
         pass
 

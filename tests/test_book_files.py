@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from grindvision.errors import FileError
-from grindvision_book.agreement import TOLERANCES, differences, disagreements, tolerance
-from grindvision_book.answers import write_scoreboard
-from grindvision_book.committed import committed_figures
-from grindvision_book.contents import listed, missing_or_unlisted, stray
-from grindvision_book.places import FIGURES
-from grindvision_book.publishing import publish, told
+from grindvision_book.machinery.agreement import TOLERANCES, differences, disagreements, tolerance
+from grindvision_book.machinery.answers import write_scoreboard
+from grindvision_book.machinery.committed import committed_figures
+from grindvision_book.machinery.contents import listed, missing_or_unlisted, stray
+from grindvision_book.machinery.places import FIGURES
+from grindvision_book.machinery.publishing import publish, told
 
 SVG = "<svg><dc:description>{}</dc:description></svg>"
 
@@ -253,7 +253,7 @@ def test_no_chapter_commits_seconds_of_its_own():
 
 
 def test_table_one_takes_its_seconds_from_the_committed_race(tmp_path):
-    from grindvision_book.weld_times import RACE, raced_table
+    from grindvision_book.chapter_11.times import RACE, raced_table
 
     table = raced_table()
     assert list(table["piece"]) == ["line", "curve", "box", "cylinder"]

@@ -9,9 +9,9 @@ import pytest
 import yaml
 from built_site import SAID, Page
 
-from grindvision_book.answers import scoreboard
-from grindvision_book.chapters import chapters
-from grindvision_book.places import FIGURES, ROOT
+from grindvision_book.machinery.answers import scoreboard
+from grindvision_book.machinery.chapters import chapters
+from grindvision_book.machinery.places import FIGURES, ROOT
 from grindvision_book.site.chapter_pages import scoreboard_html
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
 from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in

@@ -11,10 +11,10 @@ import pytest
 
 import grindvision_book as book
 from grindvision.errors import FileError, InputError
-from grindvision_book.chapters import chapters
 from grindvision_book.exercises.checking import SLIPS, Exercise, exercises_of
 from grindvision_book.exercises.guide import FIRST, GUIDE, LAST, mistakes_block, write_guide
 from grindvision_book.exercises.student_copies import MASTERS, STUDENTS, student_copy, write_student_copies
+from grindvision_book.machinery.chapters import chapters
 
 MASTER_NOTEBOOKS = sorted(MASTERS.glob("*.ipynb"))
 CHAPTERS = [path.name[:2] for path in MASTER_NOTEBOOKS]

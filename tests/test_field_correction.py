@@ -24,7 +24,7 @@ from grindvision.vision.depth_calibration.grid_smoothing import (
     smooth_grid,
     spline_matrix,
 )
-from grindvision_book.waypoints import PLATES_MM, depth_left, plate_scans
+from grindvision_book.chapter_11.waypoints import PLATES_MM, depth_left, plate_scans
 
 STEPS_MM = np.array([0.0, 20.0, 40.0, 60.0])
 FIRST_MM = 420.0

@@ -5,12 +5,12 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from grindvision_book.agreement import disagreements, files_in
-from grindvision_book.chapters import chapters
-from grindvision_book.committed import committed_figures
-from grindvision_book.contents import listed
-from grindvision_book.places import NOTEBOOKS
-from grindvision_book.rebuilding import rebuild
+from grindvision_book.machinery.agreement import disagreements, files_in
+from grindvision_book.machinery.chapters import chapters
+from grindvision_book.machinery.committed import committed_figures
+from grindvision_book.machinery.contents import listed
+from grindvision_book.machinery.places import NOTEBOOKS
+from grindvision_book.machinery.rebuilding import rebuild
 
 COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
 COMMITTED = [path for path in COMMITTED if ".ipynb_checkpoints" not in path.parts]

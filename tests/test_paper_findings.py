@@ -5,8 +5,8 @@ import pytest
 
 from grindvision import arm as arms
 from grindvision import calibration, cell, geometry, paper
-from grindvision_book.normal_readings import HALF_DIGIT, tried_readings
-from grindvision_book.pipelines import GRINDING, WELDING, as_table
+from grindvision_book.chapter_00 import GRINDING, WELDING, as_table
+from grindvision_book.chapter_07 import HALF_DIGIT, tried_readings
 
 
 @pytest.fixture(scope="module")

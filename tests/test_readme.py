@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from grindvision.errors import FileError
-from grindvision_book.answers import scoreboard
-from grindvision_book.places import FIGURES, ROOT
-from grindvision_book.readme import README, scoreboard_block, write_readme
+from grindvision_book.machinery.answers import scoreboard
+from grindvision_book.machinery.places import FIGURES, ROOT
+from grindvision_book.machinery.readme import README, scoreboard_block, write_readme
 
 
 def test_the_block_is_the_committed_scoreboard():

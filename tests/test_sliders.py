@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 import grindvision_book as book
 from grindvision.errors import InputError
-from grindvision_book import sliders
+from grindvision_book.machinery import sliders
 
 
 def draw(axes: Axes, exponent: float) -> pd.DataFrame:

@@ -14,10 +14,10 @@ import pytest
 
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError
-from grindvision_book.designs import one_at_a_time, rank_sensitivity, space_filling
-from grindvision_book.places import ROOT
-from grindvision_book.study import case_rng, run_study
-from grindvision_book.study_rows import RowsFile
+from grindvision_book.machinery.places import ROOT
+from grindvision_book.studies.designs import one_at_a_time, rank_sensitivity, space_filling
+from grindvision_book.studies.rows import RowsFile
+from grindvision_book.studies.running import case_rng, run_study
 
 CASES = pd.DataFrame({"scale": [0.5, 1.0, 2.0, 4.0, 8.0, 16.0], "label": list("abcdef")})
 
@@ -312,7 +312,7 @@ def test_a_build_of_the_book_keeps_the_rows_of_its_studies(tmp_path, monkeypatch
         calls.append(label)
         return draw(rng, scale, label)
 
-    kept.__module__ = "grindvision_book.designs"
+    kept.__module__ = "grindvision_book.studies.designs"
     first = run_study(kept, CASES, seed=3, jobs=1)
     (path,) = tmp_path.iterdir()
     torn = path.read_bytes()[:-30]
@@ -341,7 +341,7 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
 
 def test_the_book_stays_light_to_import():
     heavy = "{'dask', 'distributed', 'joblib', 'pandas'}"
-    light = f"import sys; import grindvision_book.study; print({heavy} & set(sys.modules))"
+    light = f"import sys; import grindvision_book.studies.running; print({heavy} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", light], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "set()"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from grindvision.errors import GrindvisionError
-from grindvision_book.places import BUILD
+from grindvision_book.machinery.places import BUILD
 
 SOURCES = Path(__file__).parent
 PROGRAMS = BUILD / "peers"

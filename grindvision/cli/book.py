@@ -22,22 +22,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run it; returns 1 when a chapter failed."""
-    from grindvision_book.one_at_a_time import only_build
-    from grindvision_book.places import BUILD
+    from grindvision_book.machinery.one_at_a_time import only_build
+    from grindvision_book.machinery.places import BUILD
 
     with only_build(BUILD):
         return _build(options)
 
 
 def _build(options: argparse.Namespace) -> int:
-    from grindvision_book.answers import scoreboard, summary
-    from grindvision_book.chapters import chapters, chosen
-    from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, ROOT
-    from grindvision_book.progress import Progress
-    from grindvision_book.publishing import told
-    from grindvision_book.reading import ReadingPage, titles
-    from grindvision_book.rebuilding import rebuild
-    from grindvision_book.schedule import record_seconds
+    from grindvision_book.machinery.answers import scoreboard, summary
+    from grindvision_book.machinery.chapters import chapters, chosen
+    from grindvision_book.machinery.places import BUILD, FAST_FIGURES, FIGURES, ROOT
+    from grindvision_book.machinery.progress import Progress
+    from grindvision_book.machinery.publishing import told
+    from grindvision_book.machinery.reading import ReadingPage, titles
+    from grindvision_book.machinery.rebuilding import rebuild
+    from grindvision_book.machinery.schedule import record_seconds
 
     figures = FAST_FIGURES if options.fast else FIGURES
     chosen(options.only)

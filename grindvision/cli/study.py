@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
     import pandas as pd
 
-    from grindvision_book.study import run_study
+    from grindvision_book.studies.running import run_study
 
     if options.study == "compound":
         from grindvision_book.compound import compound_case
@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> int:
         measure: Callable[..., dict[str, Any]] = compound_case
         cases = pd.DataFrame({"stream": range(options.cases)})
     else:
-        from grindvision_book.designs import space_filling
         from grindvision_book.limits import RANGES, path_case
+        from grindvision_book.studies.designs import space_filling
 
         measure = path_case
         cases = space_filling(RANGES, options.cases, options.seed)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from grindvision_book.blocks import replace_block
 from grindvision_book.exercises.checking import exercises_of
+from grindvision_book.machinery.blocks import replace_block
 
 GUIDE = Path(__file__).parents[1] / "site_sources" / "teachers_guide.md"
 FIRST, LAST = "<!-- mistakes: written by `python -m grindvision_book.exercises` -->", "<!-- end of mistakes -->"

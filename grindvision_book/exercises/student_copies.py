@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from grindvision.errors import FileError
 from grindvision.files import write_text
-from grindvision_book.places import NOTEBOOKS
+from grindvision_book.machinery.places import NOTEBOOKS
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from grindvision.errors import GrindvisionError
 from grindvision.files import sha256, write_json
-from grindvision_book.answers import write_scoreboard
-from grindvision_book.kept import installed
-from grindvision_book.places import FIGURES, NOTEBOOKS, ROOT, SITE
+from grindvision_book.machinery.answers import write_scoreboard
+from grindvision_book.machinery.kept import installed
+from grindvision_book.machinery.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from grindvision_book.answers import VERDICTS
+from grindvision_book.machinery.answers import VERDICTS
 from grindvision_book.site.pictures import Figure, lightened
 
 if TYPE_CHECKING:

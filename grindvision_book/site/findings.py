@@ -9,9 +9,9 @@ import pandas as pd
 
 from grindvision import geometry, paper
 from grindvision.files import read_table
-from grindvision_book.answers import scoreboard
-from grindvision_book.normal_readings import HALF_DIGIT, tried_readings
-from grindvision_book.waypoints import PLATES_MM
+from grindvision_book.chapter_07 import HALF_DIGIT, tried_readings
+from grindvision_book.chapter_11.waypoints import PLATES_MM
+from grindvision_book.machinery.answers import scoreboard
 
 Numbers = dict[str, float | int | str]
 

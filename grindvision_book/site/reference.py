@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.places import ROOT
 
 PACKAGE = ROOT / "grindvision"
 ROOMS = ("geometry", "arm", "vision", "calibration", "motion", "cell", "paper")

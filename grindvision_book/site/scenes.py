@@ -18,8 +18,8 @@ from grindvision import arm as arms
 from grindvision import cell, geometry, paper
 from grindvision.files import write_whole
 from grindvision.vision import detect, trace_weld
-from grindvision_book import frames
-from grindvision_book.session import COLOURS
+from grindvision_book.machinery import frames
+from grindvision_book.machinery.session import COLOURS
 from grindvision_book.site.pictures import Figure
 
 if TYPE_CHECKING:

@@ -25,9 +25,9 @@ import numpy as np
 import grindvision
 import grindvision_book
 from grindvision.errors import FileError, GrindvisionError, InputError
-from grindvision_book.dependencies import PACKAGES, modules_of, source_of
-from grindvision_book.study_cluster import on_cluster
-from grindvision_book.study_rows import OWN_COLUMNS, BusyError, RowsFile, as_text
+from grindvision_book.machinery.dependencies import PACKAGES, modules_of, source_of
+from grindvision_book.studies.cluster import on_cluster
+from grindvision_book.studies.rows import OWN_COLUMNS, BusyError, RowsFile, as_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,7 +115,7 @@ def _kept_rows(measure: Measure, cases: pd.DataFrame, seed: int) -> Path | None:
     folder = os.environ.get("GRINDVISION_STUDIES")
     if not folder or measure.__module__.split(".")[0] not in PACKAGES:
         return None
-    from grindvision_book.kept import study_inputs
+    from grindvision_book.machinery.kept import study_inputs
 
     asked = f"{study_inputs(measure.__module__)} {seed} {cases.to_csv(index=False)}"
     name = f"{measure.__name__}-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.csv"

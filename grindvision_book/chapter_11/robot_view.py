@@ -14,7 +14,7 @@ from grindvision.errors import InputError
 from grindvision.files import write_whole
 from grindvision.geometry import inverse
 from grindvision.motion import Robot
-from grindvision_book.places import figures_folder
+from grindvision_book.machinery.places import figures_folder
 
 if TYPE_CHECKING:
     import pyvista

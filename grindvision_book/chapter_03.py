@@ -1,4 +1,4 @@
-"""What chapters 03 and 04 repeat: experiments of the virtual cell as measurements, and what only the truth can tell."""
+"""What chapter 03 computes: experiments of the virtual cell as measurements, and what only the truth can tell."""
 
 from __future__ import annotations
 
@@ -14,18 +14,11 @@ from grindvision.calibration import (
     CoarseCalibration,
     Measurements,
     Options,
-    PoseChoice,
     ScannerOnArm,
-    Spreads,
-    Unknowns,
     calibrate,
-    choose_poses,
     error_statistics,
     residuals_of,
-    table_entries,
     three_point,
-    unit_sizes,
-    whitened_design,
 )
 from grindvision.cell import (
     CalibrationExperiment,
@@ -34,14 +27,12 @@ from grindvision.cell import (
     LaserTracker,
     StructuredLightScanner,
     calibration_plan,
-    directions_seeing,
     measured,
     sphere_centre_errors,
 )
 from grindvision.cell.arms import JOINT_LIMITS_RAD
 from grindvision.cell.calibration_scene import LAYER_POSITIONS, LAYERS_MM
 from grindvision.cell.spheres import nest_directions
-from grindvision.errors import SightError
 from grindvision.geometry import fit_rigid, inverse, move_points
 
 Floats = NDArray[np.float64]
@@ -124,7 +115,7 @@ def random_readings(robot: GrindingRobot, count: int, rng: np.random.Generator) 
 @lru_cache(maxsize=2)
 def poses_in_the_measuring_space(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     """Joint angles (count, 4) and sphere centres (count, 3) at random in the space that the paper's spheres span."""
-    robot, rng = _first_robot(), np.random.default_rng(seed)
+    robot, rng = first_robot(), np.random.default_rng(seed)
     azimuths, reaches = np.radians([a for a, _ in LAYER_POSITIONS]), [r for _, r in LAYER_POSITIONS]
     low, high = JOINT_LIMITS_RAD.T
     low, high = np.append([azimuths.min() - 0.3], low[1:]), np.append([azimuths.max() + 0.3], high[1:])
@@ -145,11 +136,12 @@ def poses_in_the_measuring_space(count: int, seed: int = 0) -> tuple[Floats, Flo
 
 def robot_number(serial: int) -> GrindingRobot:
     """The robot with another scanner of the same make: another field distortion, another scale error."""
-    return replace(_first_robot(), scanner=StructuredLightScanner(serial=serial))
+    return replace(first_robot(), scanner=StructuredLightScanner(serial=serial))
 
 
 @lru_cache(maxsize=1)
-def _first_robot() -> GrindingRobot:
+def first_robot() -> GrindingRobot:
+    """The robot of the book: nominal arm, its true errors, and the first scanner of its make."""
     return GrindingRobot()
 
 
@@ -161,7 +153,7 @@ def aligned_tracker(quiet: bool = False) -> LaserTracker:
 @lru_cache(maxsize=4)
 def paper_plan(seed: int = 0) -> CalibrationPlan:
     """The paper's 9 spheres x 6 directions to train with and 10 x 6 to test with, for the nominal arm."""
-    return calibration_plan(_first_robot(), np.random.default_rng(seed))
+    return calibration_plan(first_robot(), np.random.default_rng(seed))
 
 
 def calibration_trial(rng: np.random.Generator, plan_seed: int = 0) -> dict[str, float]:
@@ -212,67 +204,6 @@ def parallel_offsets(calibration: Calibration) -> tuple[float, float]:
     """Change of d2 + d3 and its standard deviation, mm: all that can be known of the two."""
     both = np.isin(calibration.unknowns.names, ("d2_mm", "d3_mm")).astype(float)
     return float(both @ calibration.values), float(np.sqrt(both @ calibration.covariance @ both))
-
-
-def source_trial(rng: np.random.Generator, source: str) -> dict[str, float]:
-    """Mean squared held-out error in mm squared with one error source on (``all``: every one of them)."""
-    robot, plan = robot_number(int(rng.integers(2**31))), paper_plan()
-    off = [other for other in ("scanner noise", "scanner bias", "joints") if source not in (other, "all")]
-    tracker = aligned_tracker(quiet=source not in ("tracker", "all"))
-    measurements = measurements_of(measured(plan, without(robot, *off), tracker, rng, every=None))
-    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
-    return {"squared": fit.errors(train=False).rms ** 2}
-
-
-@lru_cache(maxsize=2)
-def candidate_poses(spheres: int, seed: int = 4) -> CalibrationPlan:
-    """Poses all over the reach to choose from: ``spheres`` places, eight directions each."""
-    robot, rng = _first_robot(), np.random.default_rng(seed)
-    q, centres = [], []
-    while len(q) < spheres:
-        azimuth, reach, height = rng.uniform([-2.9, 350, -250], [2.9, 850, 350])
-        centre = np.array([reach * np.cos(azimuth), reach * np.sin(azimuth), height])
-        try:
-            q.append(directions_seeing(robot, centre, 8, rng))
-        except SightError:
-            continue
-        centres.append(centre)
-    number = np.repeat(np.arange(spheres), 8)
-    return CalibrationPlan(np.array(centres), number, np.concatenate(q), np.ones(len(number), dtype=bool))
-
-
-def part_of(plan: CalibrationPlan, rows: ArrayLike) -> CalibrationPlan:
-    """The plan's ``rows`` alone, all of them to train with."""
-    rows = np.asarray(rows)
-    return CalibrationPlan(plan.centres_mm, plan.sphere[rows], plan.q_rad[rows], np.ones(len(rows), dtype=bool))
-
-
-@lru_cache(maxsize=16)
-def optimal_poses(spheres: int, count: int) -> PoseChoice:
-    """D-optimal choice of ``count`` candidates, with the nominal cell and the noise foreseen: nothing of the truth."""
-    robot, plan = _first_robot(), candidate_poses(spheres)
-    cell = ScannerOnArm(robot.nominal, robot.T_joint4_scanner_nominal, np.eye(4))
-    poses, centres = robot.believed_poses(plan.q_rad), plan.centres_mm[plan.sphere]
-    seen = np.einsum("mji,mj->mi", poses[:, :3, :3], centres - poses[:, :3, 3])
-    foreseen = Measurements(plan.q_rad, seen, centres)
-    unknowns = Unknowns(6, table_entries(robot.nominal), 0)
-    spreads = Spreads(0.02, np.radians(robot.joint_noise_deg), 1.0, 1.0)
-    rows = whitened_design(cell, unknowns, foreseen, spreads) * unit_sizes(foreseen, unknowns)
-    return choose_poses(rows.reshape(len(foreseen), 3, -1), count, np.random.default_rng(0))
-
-
-def pose_trial(rng: np.random.Generator, choice: str, count: int, spheres: int) -> dict[str, float]:
-    """True error in mm over the workspace after ``count`` poses: ``optimal``, ``random`` or the paper's ``regular``."""
-    robot, tracker = robot_number(int(rng.integers(2**31))), aligned_tracker()
-    plan = paper_plan() if choice == "regular" else candidate_poses(spheres)
-    if choice == "optimal":
-        rows = optimal_poses(spheres, count).chosen
-    else:
-        rows = rng.choice(np.flatnonzero(plan.train), count, replace=False)
-    measurements = measurements_of(measured(part_of(plan, rows), robot, tracker, rng, every=None))
-    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
-    there = random_readings(robot, 120, np.random.default_rng(0))
-    return {"true": float(there.errors_mm(fit.cell, tracker).mean())}
 
 
 def without(robot: GrindingRobot, *sources: str) -> GrindingRobot:

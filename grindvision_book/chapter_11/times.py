@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from grindvision import paper
 from grindvision.errors import FileError
 from grindvision.files import read_table
-from grindvision_book.places import FIGURES
+from grindvision_book.machinery.places import FIGURES
 
 if TYPE_CHECKING:
     import pandas as pd

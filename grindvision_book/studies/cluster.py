@@ -93,6 +93,6 @@ def _check(worker: str, other: object, code: str) -> None:
 
 
 def _fingerprint(module: str) -> str:
-    from grindvision_book.study import code_fingerprint
+    from grindvision_book.studies.running import code_fingerprint
 
     return code_fingerprint(module)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from grindvision.errors import InputError
 from grindvision.files import write_text, write_whole
-from grindvision_book.places import figures_folder
-from grindvision_book.session import current_chapter
+from grindvision_book.machinery.places import figures_folder
+from grindvision_book.machinery.session import current_chapter
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ def checkout() -> Path:
     Raises:
         FileError: the package runs from somewhere else, so there is no book to rebuild.
     """
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     if not (root / "pyproject.toml").is_file() or not (root / "data").is_dir():
         raise FileError(
             f"{root} is no checkout of grindvision (no pyproject.toml and data/ there); "

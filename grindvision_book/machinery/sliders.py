@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from grindvision.errors import InputError
-from grindvision_book.figures import save_figure
+from grindvision_book.machinery.figures import save_figure
 
 if TYPE_CHECKING:
     import pandas as pd

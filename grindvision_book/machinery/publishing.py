@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from grindvision.files import sha256, write_text, write_whole
-from grindvision_book.agreement import Files, differences, files_in, of_one_name
+from grindvision_book.machinery.agreement import Files, differences, files_in, of_one_name
 
 
 @dataclass(frozen=True)

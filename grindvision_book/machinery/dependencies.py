@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 from grindvision.errors import FileError
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.places import ROOT
 
 PACKAGES = ("grindvision", "grindvision_book")
 

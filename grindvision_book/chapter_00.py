@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from grindvision_book.session import COLOURS
+from grindvision_book.machinery.session import COLOURS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from grindvision.geometry import move_points
-from grindvision_book.session import COLOURS
-from grindvision_book.waypoints import waypoint_errors
+from grindvision_book.chapter_11.waypoints import waypoint_errors
+from grindvision_book.machinery.session import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

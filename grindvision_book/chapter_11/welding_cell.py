@@ -14,8 +14,8 @@ from grindvision.cell import WeldPiece
 from grindvision.cell.places import T_base_piece
 from grindvision.geometry import angle_between, inverse, rigid
 from grindvision.motion import Motion, urscript
-from grindvision_book.robot_view import RobotView
-from grindvision_book.session import COLOURS
+from grindvision_book.chapter_11.robot_view import RobotView
+from grindvision_book.machinery.session import COLOURS
 
 if TYPE_CHECKING:
     import pyvista

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.places import ROOT
 
 if TYPE_CHECKING:
     import pandas as pd

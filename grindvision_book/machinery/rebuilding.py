@@ -15,19 +15,19 @@ from pathlib import Path
 
 from grindvision.errors import FileError
 from grindvision.files import write_whole
-from grindvision_book import kept
-from grindvision_book.agreement import Files, files_in
-from grindvision_book.answers import write_scoreboard
-from grindvision_book.chapters import OVERVIEW, chapters, chosen
-from grindvision_book.committed import committed_figures
-from grindvision_book.contents import missing_or_unlisted
-from grindvision_book.dependencies import modules_of_notebook
-from grindvision_book.kernels import kernel_environment, run_notebook
-from grindvision_book.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
-from grindvision_book.publishing import Publication, publish
-from grindvision_book.reading import write_page
-from grindvision_book.readme import write_readme
-from grindvision_book.schedule import longest_first, recorded_seconds
+from grindvision_book.machinery import kept
+from grindvision_book.machinery.agreement import Files, files_in
+from grindvision_book.machinery.answers import write_scoreboard
+from grindvision_book.machinery.chapters import OVERVIEW, chapters, chosen
+from grindvision_book.machinery.committed import committed_figures
+from grindvision_book.machinery.contents import missing_or_unlisted
+from grindvision_book.machinery.dependencies import modules_of_notebook
+from grindvision_book.machinery.kernels import kernel_environment, run_notebook
+from grindvision_book.machinery.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
+from grindvision_book.machinery.publishing import Publication, publish
+from grindvision_book.machinery.reading import write_page
+from grindvision_book.machinery.readme import write_readme
+from grindvision_book.machinery.schedule import longest_first, recorded_seconds
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from grindvision_book.chapters import OVERVIEW
-from grindvision_book.reading import ReadingPage
-from grindvision_book.rebuilding import Outcome, Watcher
-from grindvision_book.schedule import Remaining, recorded_seconds
+from grindvision_book.machinery.chapters import OVERVIEW
+from grindvision_book.machinery.reading import ReadingPage
+from grindvision_book.machinery.rebuilding import Outcome, Watcher
+from grindvision_book.machinery.schedule import Remaining, recorded_seconds
 
 #: Seconds of a chapter that no build has recorded yet.
 UNKNOWN_S = 60.0

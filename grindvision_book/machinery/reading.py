@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.files import write_text
-from grindvision_book.places import NOTEBOOKS
+from grindvision_book.machinery.places import NOTEBOOKS
 
 if TYPE_CHECKING:
-    from grindvision_book.rebuilding import Outcome
+    from grindvision_book.machinery.rebuilding import Outcome
 
 #: Seconds after which a browser reads the list again.
 RENEW_S = 5

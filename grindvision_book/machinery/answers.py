@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import read_table, write_text
-from grindvision_book.blocks import write_changed
-from grindvision_book.figures import csv_text, markdown_table
-from grindvision_book.places import figures_folder, finished_folder
-from grindvision_book.session import current_chapter, fast, given_answers
+from grindvision_book.machinery.blocks import write_changed
+from grindvision_book.machinery.figures import csv_text, markdown_table
+from grindvision_book.machinery.places import figures_folder, finished_folder
+from grindvision_book.machinery.session import current_chapter, fast, given_answers
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from grindvision.errors import FileError, InputError
-from grindvision_book.places import NOTEBOOKS
+from grindvision_book.machinery.places import NOTEBOOKS
 
 #: The chapter that looks back on all others runs last.
 OVERVIEW = "00"

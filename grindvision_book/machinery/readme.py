@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from grindvision_book.answers import summary
-from grindvision_book.blocks import replace_block
-from grindvision_book.figures import markdown_table
-from grindvision_book.places import ROOT
+from grindvision_book.machinery.answers import summary
+from grindvision_book.machinery.blocks import replace_block
+from grindvision_book.machinery.figures import markdown_table
+from grindvision_book.machinery.places import ROOT
 
 if TYPE_CHECKING:
     import pandas as pd

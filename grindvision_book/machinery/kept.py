@@ -24,8 +24,8 @@ from pathlib import Path
 
 from grindvision import paper
 from grindvision.files import sha256, write_json
-from grindvision_book.dependencies import modules_of, modules_of_notebook, source_of
-from grindvision_book.places import FIGURES, ROOT
+from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook, source_of
+from grindvision_book.machinery.places import FIGURES, ROOT
 
 FORMAT = 1
 

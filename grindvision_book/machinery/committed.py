@@ -10,8 +10,8 @@ from pathlib import Path
 
 from grindvision.errors import FileError
 from grindvision.files import write_whole
-from grindvision_book.agreement import Files
-from grindvision_book.places import BUILD, FIGURES, ROOT
+from grindvision_book.machinery.agreement import Files
+from grindvision_book.machinery.places import BUILD, FIGURES, ROOT
 
 #: Where there is no git: the figures as they were unpacked, packed before the book writes there for the first time.
 UNPACKED = BUILD / "figures_as_unpacked.tar"

@@ -1,0 +1,98 @@
+"""What chapter 04 repeats: calibrations with one error source, and with poses chosen in other ways."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grindvision.calibration import (
+    Measurements,
+    Options,
+    PoseChoice,
+    ScannerOnArm,
+    Spreads,
+    Unknowns,
+    calibrate,
+    choose_poses,
+    table_entries,
+    unit_sizes,
+    whitened_design,
+)
+from grindvision.cell import (
+    CalibrationPlan,
+    directions_seeing,
+    measured,
+)
+from grindvision.errors import SightError
+from grindvision_book.chapter_03 import (
+    aligned_tracker,
+    first_robot,
+    measurements_of,
+    paper_plan,
+    random_readings,
+    robot_number,
+    without,
+)
+
+
+def source_trial(rng: np.random.Generator, source: str) -> dict[str, float]:
+    """Mean squared held-out error in mm squared with one error source on (``all``: every one of them)."""
+    robot, plan = robot_number(int(rng.integers(2**31))), paper_plan()
+    off = [other for other in ("scanner noise", "scanner bias", "joints") if source not in (other, "all")]
+    tracker = aligned_tracker(quiet=source not in ("tracker", "all"))
+    measurements = measurements_of(measured(plan, without(robot, *off), tracker, rng, every=None))
+    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
+    return {"squared": fit.errors(train=False).rms ** 2}
+
+
+def pose_trial(rng: np.random.Generator, choice: str, count: int, spheres: int) -> dict[str, float]:
+    """True error in mm over the workspace after ``count`` poses: ``optimal``, ``random`` or the paper's ``regular``."""
+    robot, tracker = robot_number(int(rng.integers(2**31))), aligned_tracker()
+    plan = paper_plan() if choice == "regular" else candidate_poses(spheres)
+    if choice == "optimal":
+        rows = optimal_poses(spheres, count).chosen
+    else:
+        rows = rng.choice(np.flatnonzero(plan.train), count, replace=False)
+    measurements = measurements_of(measured(part_of(plan, rows), robot, tracker, rng, every=None))
+    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
+    there = random_readings(robot, 120, np.random.default_rng(0))
+    return {"true": float(there.errors_mm(fit.cell, tracker).mean())}
+
+
+@lru_cache(maxsize=2)
+def candidate_poses(spheres: int, seed: int = 4) -> CalibrationPlan:
+    """Poses all over the reach to choose from: ``spheres`` places, eight directions each."""
+    robot, rng = first_robot(), np.random.default_rng(seed)
+    q, centres = [], []
+    while len(q) < spheres:
+        azimuth, reach, height = rng.uniform([-2.9, 350, -250], [2.9, 850, 350])
+        centre = np.array([reach * np.cos(azimuth), reach * np.sin(azimuth), height])
+        try:
+            q.append(directions_seeing(robot, centre, 8, rng))
+        except SightError:
+            continue
+        centres.append(centre)
+    number = np.repeat(np.arange(spheres), 8)
+    return CalibrationPlan(np.array(centres), number, np.concatenate(q), np.ones(len(number), dtype=bool))
+
+
+def part_of(plan: CalibrationPlan, rows: ArrayLike) -> CalibrationPlan:
+    """The plan's ``rows`` alone, all of them to train with."""
+    rows = np.asarray(rows)
+    return CalibrationPlan(plan.centres_mm, plan.sphere[rows], plan.q_rad[rows], np.ones(len(rows), dtype=bool))
+
+
+@lru_cache(maxsize=16)
+def optimal_poses(spheres: int, count: int) -> PoseChoice:
+    """D-optimal choice of ``count`` candidates, with the nominal cell and the noise foreseen: nothing of the truth."""
+    robot, plan = first_robot(), candidate_poses(spheres)
+    cell = ScannerOnArm(robot.nominal, robot.T_joint4_scanner_nominal, np.eye(4))
+    poses, centres = robot.believed_poses(plan.q_rad), plan.centres_mm[plan.sphere]
+    seen = np.einsum("mji,mj->mi", poses[:, :3, :3], centres - poses[:, :3, 3])
+    foreseen = Measurements(plan.q_rad, seen, centres)
+    unknowns = Unknowns(6, table_entries(robot.nominal), 0)
+    spreads = Spreads(0.02, np.radians(robot.joint_noise_deg), 1.0, 1.0)
+    rows = whitened_design(cell, unknowns, foreseen, spreads) * unit_sizes(foreseen, unknowns)
+    return choose_poses(rows.reshape(len(foreseen), 3, -1), count, np.random.default_rng(0))

@@ -1,0 +1,1 @@
+"""What chapter 05 computes: what an instrument shows without noise, and where registration succeeds."""
