@@ -130,7 +130,8 @@ def read_table(
         path: file.
         numbers: names of the columns of numbers.
         texts: names of the columns of text.
-        columns: our name (unit included) of columns that the file calls otherwise; names joined by ``+`` are added.
+        columns: our name (unit included) of columns that the file calls otherwise; names joined by ``+`` and ``-``
+            are added and subtracted.
 
     Raises:
         FileError: the file is missing, is no CSV, lacks a column or has it twice, has no row, or holds text or NaN
@@ -139,11 +140,14 @@ def read_table(
     path = Path(path)
     table = _text_table(path)
     for ours, theirs in (columns or {}).items():
-        parts = [theirs] if theirs in table.columns else [part.strip() for part in theirs.split("+")]
-        missing = [part for part in parts if part not in table.columns]
+        parts = _summands(theirs, table.columns)
+        missing = [part for _, part in parts if part not in table.columns]
         if missing:
             raise FileError(f"{path}: column {missing[0]} missing; found {_listed(table.columns)}")
-        table[ours] = table[parts[0]] if len(parts) == 1 else sum(_floats(path, table, part) for part in parts)
+        if len(parts) == 1 and parts[0][0] > 0:
+            table[ours] = table[parts[0][1]]
+        else:
+            table[ours] = sum(sign * _floats(path, table, part) for sign, part in parts)
     missing = []
     for name in (*texts, *numbers):
         stem, _, unit = name.rpartition("_")
@@ -160,6 +164,24 @@ def read_table(
             f"{path}: column {', '.join(missing)} missing; found {_listed(table.columns)}{units}; rename the columns"
         )
     return table
+
+
+def _summands(text: str, columns: Iterable[str]) -> list[tuple[float, str]]:
+    """Signs and column names of a sum like ``J3-J2``; a name of the table may itself hold these signs."""
+    known = sorted(map(str, columns), key=len, reverse=True)
+    parts: list[tuple[float, str]] = []
+    rest, sign = text.strip(), 1.0
+    while rest or not parts:
+        if rest[:1] in ("+", "-") and not any(rest.startswith(name) for name in known):
+            sign, rest = (-sign if rest[0] == "-" else sign), rest[1:].lstrip()
+            continue
+        ends = ("", "+", "-")
+        name = next((n for n in known if rest.startswith(n) and rest[len(n) :].lstrip()[:1] in ends), None)
+        if name is None:
+            name = rest.split("+")[0].split("-")[0].strip() or rest
+        parts.append((sign, name))
+        rest, sign = rest[len(name) :].lstrip(), 1.0
+    return parts
 
 
 def column_names(path: str | Path) -> list[str]:

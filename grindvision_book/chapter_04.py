@@ -12,13 +12,13 @@ from grindvision.calibration import (
     Options,
     PoseChoice,
     ScannerOnArm,
-    Spreads,
+    Sigmas,
     Unknowns,
     calibrate,
     choose_poses,
     table_entries,
     unit_sizes,
-    whitened_design,
+    whitened_jacobian,
 )
 from grindvision.cell import (
     CalibrationPlan,
@@ -93,6 +93,6 @@ def optimal_poses(spheres: int, count: int) -> PoseChoice:
     seen = np.einsum("mji,mj->mi", poses[:, :3, :3], centres - poses[:, :3, 3])
     foreseen = Measurements(plan.q_rad, seen, centres)
     unknowns = Unknowns(6, table_entries(robot.nominal), 0)
-    spreads = Spreads(0.02, np.radians(robot.joint_noise_deg), 1.0, 1.0)
-    rows = whitened_design(cell, unknowns, foreseen, spreads) * unit_sizes(foreseen, unknowns)
+    spreads = Sigmas(0.02, np.radians(robot.joint_noise_deg), 1.0, 1.0)
+    rows = whitened_jacobian(cell, unknowns, foreseen, spreads) * unit_sizes(foreseen, unknowns)
     return choose_poses(rows.reshape(len(foreseen), 3, -1), count, np.random.default_rng(0))

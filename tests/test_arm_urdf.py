@@ -6,7 +6,8 @@ import pytest
 
 from grindvision.arm import PARAMETERS, forward, read_arm
 from grindvision.arm.model import urdf_model
-from grindvision.arm.urdf import mesh_files, urdf_arm
+from grindvision.arm.urdf import mesh_files
+from grindvision.arm.urdf_chain import urdf_arm
 from grindvision.data_files import data_folder
 from grindvision.errors import FileError, UnitError
 from grindvision.motion import urdf_robot, welding_torch
@@ -101,7 +102,7 @@ def test_robots_as_their_makers_describe_them(tmp_path, name, joints, rng):
     if name == "ur5":
         np.testing.assert_allclose(np.abs(arm.table[:4, 1]), [0, 0, 425, 392.25][: len(arm.table)], atol=1e-9)
     if joints == 7:
-        with pytest.raises(FileError, match="not a single chain of 9 revolute joints"):
+        with pytest.raises(FileError, match="not a single chain of 8 joints"):
             urdf_arm(tmp_path / "arm.urdf")
 
 
@@ -118,7 +119,7 @@ BAD = {
     "two_roots": ('<robot name="a"><link name="b"/><link name="c"/></robot>', "Two root links"),
     "deep": ("<robot>" * 5000, "nested 201 deep"),
     "laughs": ('<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "XML entities"),
-    "slide": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]], "prismatic"), "not a single chain of 1 revolute joints"),
+    "slide": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]], "floating"), "only revolute and prismatic"),
     "aside": (urdf([([0, 0.2, 0], [0, 0, 0])], [[0, 0, 1]]), "does not cross the root link's x axis"),
     "huge": (urdf([([0, 0, 1e300], [0, 0, 0])], [[0, 0, 1]]), "a number within 1e6 is needed"),
     "no_number": (urdf([([0, 0, 0], [0, 0, 0])], [[0, 0, 1]]).replace('xyz="0 0 0"', 'xyz="0 0 x"'), "holds 'x'"),

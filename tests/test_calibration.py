@@ -17,7 +17,7 @@ from grindvision.calibration import (
     cross_validated,
     design_matrix,
     error_statistics,
-    joint_slopes,
+    joint_jacobian,
     moved_cell,
     on_test_rows,
     residuals_of,
@@ -50,9 +50,9 @@ def test_design_matrix_is_the_slope_of_the_prediction(arm, rng):
         assert np.allclose(design[:, :, column], slope, atol=1e-4 * max(1, np.abs(slope).max())), name
 
 
-def test_joint_slopes_are_the_slopes_by_the_joint_angles(rng):
+def test_joint_jacobian_are_the_slopes_by_the_joint_angles(rng):
     cell, q, points = random_cell(ur5(), rng), rng.uniform(-2, 2, (5, 6)), field_points(rng, 5)
-    slopes = joint_slopes(cell, q, points)
+    slopes = joint_jacobian(cell, q, points)
     for joint in range(6):
         step = 1e-6 * np.eye(6)[joint]
         slope = (cell.points_tracker(q + step, points) - cell.points_tracker(q - step, points)) / 2e-6
@@ -105,9 +105,9 @@ def test_without_noise_the_true_cell_comes_back(arm, base, on_tool, rng):
 
 def test_noise_and_joint_repeatability_are_told_apart(rng):
     made = rig(ur5(), rng, rows=300, noise_mm=0.03, joint_rad=1e-4)
-    spreads = calibrate(made.measurements, ur5()).spreads
-    assert spreads.rest_mm == pytest.approx(0.03, rel=0.2)
-    assert spreads.joint_rad == pytest.approx(1e-4, rel=0.2)
+    sigmas = calibrate(made.measurements, ur5()).sigmas
+    assert sigmas.rest_mm == pytest.approx(0.03, rel=0.2)
+    assert sigmas.joint_rad == pytest.approx(1e-4, rel=0.2)
 
 
 def test_stated_standard_deviations_cover_the_truth():

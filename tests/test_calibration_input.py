@@ -372,7 +372,7 @@ def test_many_dropped_rows_are_named_in_one_sentence(rng):
     tracker[:12] += rng.normal(0, 20, (12, 3))
     result = calibrate(replace(made.measurements, tracker_mm=tracker), er3a())
     assert len(result.dropped) == 12
-    (said,) = (sentence for sentence in result.warnings if "left out" in sentence)
+    (said,) = (sentence for sentence in result.warnings if "left out, they" in sentence)
     assert said.startswith("12 rows were left out, they contradict the others: row 1 ")
 
 

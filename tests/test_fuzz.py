@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grindvision_book.study_rows import RowsFile
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from test_bad_input import pcd
@@ -28,7 +29,6 @@ from grindvision.errors import GrindvisionError, GrindvisionWarning
 from grindvision.files import read_json, read_toml
 from grindvision.result_set import write_set
 from grindvision.vision.depth_calibration.field_correction import read_field
-from grindvision_book.study_rows import RowsFile
 
 DRAWN = int(os.environ.get("GRINDVISION_FUZZ", 0))
 POINTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32).astype(float) * 30

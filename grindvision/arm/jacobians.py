@@ -16,13 +16,16 @@ Floats = NDArray[np.float64]
 
 
 def joint_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) -> Floats:
-    """Twists (..., 6, n) of the last link per radian of each joint, at joint angles (..., n).
+    """Twists (..., 6, n) of the last link per radian (prismatic: per mm) of each joint, at joint angles (..., n).
 
     ``frames`` are the ``joint_transforms`` there, where they are known already.
     """
     frames = joint_transforms(arm, q_rad) if frames is None else frames
     after = frames[..., 1:, :, :]
-    return _rotation_about(after[..., :3, 2], after[..., :3, 3])
+    twists = _rotation_about(after[..., :3, 2], after[..., :3, 3])
+    if any(arm.prismatic):
+        twists = np.where(np.array(arm.prismatic), _translation_along(after[..., :3, 2]), twists)
+    return twists
 
 
 def parameter_twists(arm: MdhArm, q_rad: ArrayLike, frames: Floats | None = None) -> Floats:

@@ -1,7 +1,8 @@
 """Modified Denavit-Hartenberg tables with Hayati's tilt: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)``.
 
 Craig's convention: row i holds alpha_{i-1}, a_{i-1}, d_i, theta_i. The tilt beta stands before the joint turns, where
-two nominally parallel axes need it; behind the joint it would only mimic the next theta.
+two nominally parallel axes need it; behind the joint it would only mimic the next theta. A prismatic joint adds its
+coordinate, in mm, to d instead: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d + q)``.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import InputError, UnitError
+from grindvision.errors import FileError, InputError, UnitError
 from grindvision.files import column_names, read_table, write_text
 
 Floats = NDArray[np.float64]
@@ -23,17 +24,26 @@ PARAMETERS = ("alpha_rad", "a_mm", "d_mm", "theta_rad", "beta_rad")
 #: Lengths of all links of an arm that is made: outside, the table is in another unit.
 SHORTEST_MM, LONGEST_MM = 20.0, 50_000.0
 
+#: Optional columns of a robot CSV: limits and speed of every joint (mm and mm/s at a prismatic joint).
+LIMITS = ("lower_rad", "upper_rad", "speed_rad_s")
+
+REVOLUTE, PRISMATIC = "revolute", "prismatic"
+
 
 @dataclass(frozen=True)
 class MdhArm:
-    """A serial arm of revolute joints.
+    """A serial arm of revolute joints, some of which may be prismatic.
 
-    ``table`` (n, 5): one row per joint, columns as ``PARAMETERS``; ``theta_rad`` is added to the joint angle.
-    ``joints`` names the rows. The array is read-only; ``with_table`` and ``changed_by`` make a new arm.
+    ``table`` (n, 5): one row per joint, columns as ``PARAMETERS``; ``theta_rad`` is added to the joint angle, ``d_mm``
+    to the coordinate of a prismatic joint. ``joints`` names the rows, ``prismatic`` (n flags; left out: none) says
+    which slide. ``limits`` (n, 3), where known: lower, upper and speed as ``LIMITS``. Arrays are read-only;
+    ``with_table`` and ``changed_by`` make a new arm.
     """
 
     table: Floats
     joints: tuple[str, ...]
+    prismatic: tuple[bool, ...] = ()
+    limits: Floats | None = None
 
     def __post_init__(self) -> None:
         table = np.array(self.table, dtype=float)
@@ -48,6 +58,16 @@ class MdhArm:
             raise UnitError(f"an angle of {angles.max():.4g} in the MDH table looks like degrees; give radians")
         table.setflags(write=False)
         object.__setattr__(self, "table", table)
+        prismatic = tuple(bool(flag) for flag in self.prismatic) or (False,) * len(table)
+        if len(prismatic) != len(table):
+            raise InputError(f"{len(prismatic)} flags of prismatic joints for {len(table)} rows")
+        object.__setattr__(self, "prismatic", prismatic)
+        if self.limits is not None:
+            limits = np.array(self.limits, dtype=float)
+            if limits.shape != (len(table), 3):
+                raise InputError(f"joint limits have shape {limits.shape}; {(len(table), 3)} needed")
+            limits.setflags(write=False)
+            object.__setattr__(self, "limits", limits)
 
     @property
     def n(self) -> int:
@@ -66,19 +86,23 @@ class MdhArm:
         """Return the arm that ends at joint number ``joints`` (1 is the first)."""
         if not 1 <= joints <= self.n:
             raise InputError(f"joint {joints} asked for; the arm has joints 1 to {self.n}")
-        return MdhArm(self.table[:joints], self.joints[:joints])
+        limits = None if self.limits is None else self.limits[:joints]
+        return MdhArm(self.table[:joints], self.joints[:joints], self.prismatic[:joints], limits)
 
     def __str__(self) -> str:
-        return (
-            f"arm of {self.n} revolute joints, links {np.hypot(self.table[:, 1], self.table[:, 2]).sum():.1f} mm in all"
+        kinds = f"{self.n - sum(self.prismatic)} revolute" + (
+            f" and {sum(self.prismatic)} prismatic" if any(self.prismatic) else ""
         )
+        return f"arm of {kinds} joints, links {np.hypot(self.table[:, 1], self.table[:, 2]).sum():.1f} mm in all"
 
 
 def read_arm(path: str | Path) -> MdhArm:
     """Read a robot CSV: ``joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad``, one row per joint from the base.
 
     Angles may be given in degrees (``alpha_deg``) and lengths in metres (``a_m``). Left out, ``beta`` is zero and the
-    joints are J1, J2, ...
+    joints are J1, J2, ... A column ``type`` says revolute or prismatic (left out: revolute); columns ``lower_rad``,
+    ``upper_rad`` and ``speed_rad_s`` hold limits. The links of an arm of up to three joints may have no length at all:
+    a positioner whose axes meet.
 
     Raises:
         FileError: missing, damaged, a column missing, text where a number belongs. UnitError: degrees among radians,
@@ -86,15 +110,29 @@ def read_arm(path: str | Path) -> MdhArm:
     """
     names = column_names(path)
     tilted = bool({"beta_rad", "beta_deg"} & set(names))
-    table = read_table(path, PARAMETERS if tilted else PARAMETERS[:4], texts=("joint",) if "joint" in names else ())
+    limited = all({name, name.replace("_rad", "_deg")} & set(names) for name in LIMITS[:2]) and LIMITS[2] in names
+    table = read_table(
+        path,
+        (*(PARAMETERS if tilted else PARAMETERS[:4]), *(LIMITS if limited else ())),
+        texts=tuple(name for name in ("joint", "type") if name in names),
+    )
     numbers = table.reindex(columns=list(PARAMETERS), fill_value=0.0).to_numpy(dtype=float)
     joints = table["joint"] if "joint" in names else [f"J{row}" for row in range(1, len(table) + 1)]
+    kinds = [str(kind).strip().lower() for kind in table["type"]] if "type" in names else [REVOLUTE] * len(table)
+    odd = next((row for row, kind in enumerate(kinds) if kind not in (REVOLUTE, PRISMATIC)), None)
+    if odd is not None:
+        raise FileError(f"{path}: row {odd + 1}, column type: {kinds[odd]!r}; write {REVOLUTE} or {PRISMATIC}")
     try:
-        arm = MdhArm(numbers, tuple(str(name) for name in joints))
+        arm = MdhArm(
+            numbers,
+            tuple(str(name) for name in joints),
+            tuple(kind == PRISMATIC for kind in kinds),
+            table[list(LIMITS)].to_numpy(dtype=float) if limited else None,
+        )
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from None
     reach = float(np.abs(arm.table[:, 1:3]).sum())
-    if not SHORTEST_MM < reach < LONGEST_MM:
+    if not (SHORTEST_MM < reach < LONGEST_MM or (reach == 0 and arm.n <= 3)):
         raise UnitError(
             f"{path}: the links add up to {reach:.4g} mm, which is no arm; give a and d in mm, or name them a_m and d_m"
         )
@@ -103,8 +141,14 @@ def read_arm(path: str | Path) -> MdhArm:
 
 def write_arm(arm: MdhArm, path: str | Path) -> None:
     """Write the robot CSV that ``read_arm`` reads, every number to full precision."""
-    rows = [",".join((name, *(repr(float(v)) for v in row))) for name, row in zip(arm.joints, arm.table, strict=True)]
-    write_text(path, "\n".join((",".join(("joint", *PARAMETERS)), *rows)) + "\n")
+    columns: list[tuple[str, list[str]]] = [("joint", list(arm.joints))]
+    columns += [(name, [repr(float(v)) for v in values]) for name, values in zip(PARAMETERS, arm.table.T, strict=True)]
+    if any(arm.prismatic):
+        columns.append(("type", [PRISMATIC if flag else REVOLUTE for flag in arm.prismatic]))
+    if arm.limits is not None:
+        columns += [(name, [repr(float(v)) for v in values]) for name, values in zip(LIMITS, arm.limits.T, strict=True)]
+    lines = [",".join(row) for row in zip(*(values for _, values in columns), strict=True)]
+    write_text(path, "\n".join((",".join(name for name, _ in columns), *lines)) + "\n")
 
 
 def link_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
@@ -112,6 +156,10 @@ def link_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
     q = check_angles(arm, q_rad)
     alpha, a, d, theta, beta = arm.table.T
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    slides = np.array(arm.prismatic)
+    if slides.any():
+        d = d + np.where(slides, q, 0.0)
+        q = np.where(slides, 0.0, q)
     ct, st = np.cos(q + theta), np.sin(q + theta)
     links = np.zeros((*q.shape, 4, 4))
     links[..., 0, 0], links[..., 0, 1], links[..., 0, 2] = cb * ct, -cb * st, sb
@@ -139,7 +187,7 @@ def forward(arm: MdhArm, q_rad: ArrayLike) -> Floats:
 
 
 def check_angles(arm: MdhArm, q_rad: ArrayLike) -> Floats:
-    """Return joint angles as floats (..., n).
+    """Return joint angles, rad (mm where the joint is prismatic), as floats (..., n).
 
     Raises:
         InputError: not n angles per pose, or NaN.

@@ -16,18 +16,18 @@ with extra("robot"):
 
 
 def pinocchio_model(arm: MdhArm) -> pin.Model:
-    """Pinocchio model of an MDH arm: one revolute z joint per row, its frame equal to the MDH joint frame, in mm.
+    """Pinocchio model of an MDH arm: one z joint per row, its frame equal to the MDH joint frame, in mm.
 
     ``Rz(theta + q) Tz(d)`` commutes, so everything but the turn by q goes into the joint's placement.
     """
     model = pin.Model()
     parent = 0
-    for name, (alpha, a, d, theta, beta) in zip(arm.joints, arm.table, strict=True):
+    for name, (alpha, a, d, theta, beta), slides in zip(arm.joints, arm.table, arm.prismatic, strict=True):
         placement = (
             pin.SE3(pin.utils.rotate("x", alpha), np.array([a * 1.0, 0.0, 0.0]))
             * pin.SE3(pin.utils.rotate("y", beta), np.zeros(3))
         ) * pin.SE3(pin.utils.rotate("z", theta), np.array([0.0, 0.0, d]))
-        parent = model.addJoint(parent, pin.JointModelRZ(), placement, name)
+        parent = model.addJoint(parent, pin.JointModelPZ() if slides else pin.JointModelRZ(), placement, name)
         model.addJointFrame(parent)
     return model
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from grindvision.arm.mdh import MdhArm
 from grindvision.errors import FileError
 from grindvision.geometry import rigid
 from grindvision.input_files import read_input
@@ -58,7 +57,7 @@ def mesh_files(path: str | Path) -> list[str]:
     Raises:
         FileError: missing, no XML, or nested or sized as no robot description is.
     """
-    return [mesh.attrib["filename"] for mesh in _robot(Path(path)).iter("mesh") if "filename" in mesh.attrib]
+    return [mesh.attrib["filename"] for mesh in robot_element(Path(path)).iter("mesh") if "filename" in mesh.attrib]
 
 
 def urdf_joints(path: str | Path) -> list[UrdfJoint]:
@@ -69,7 +68,7 @@ def urdf_joints(path: str | Path) -> list[UrdfJoint]:
             there; no single root link; a number that is none.
     """
     path = Path(path)
-    return _joints(path, _robot(path))
+    return _joints(path, robot_element(path))
 
 
 def urdf_skeleton(path: str | Path) -> str:
@@ -79,7 +78,7 @@ def urdf_skeleton(path: str | Path) -> str:
         FileError: as ``urdf_joints``; a joint that needs limits has none.
     """
     path = Path(path)
-    robot = _robot(path)
+    robot = robot_element(path)
     _joints(path, robot)
     skeleton = ElementTree.Element("robot", name=robot.get("name", path.stem))
     for link in robot.findall("link"):
@@ -106,7 +105,7 @@ def urdf_skeleton(path: str | Path) -> str:
     return ElementTree.tostring(skeleton, encoding="unicode")
 
 
-def _robot(path: Path) -> ElementTree.Element:
+def robot_element(path: Path) -> ElementTree.Element:
     """Root element of a URDF file that is sized and nested as a robot description is, and defines no entities."""
     content = read_input(path, LARGEST_URDF, "URDF")
     depth = 0
@@ -213,69 +212,22 @@ def _finite(path: Path, element: ElementTree.Element, key: str, word: str) -> fl
     return value
 
 
-def urdf_arm(path: str | Path, joints: int | None = None) -> MdhArm:
-    """The revolute joints of a URDF file, or the first ``joints`` of them, as a modified DH table in mm.
-
-    Joint angles count as in the URDF, from the same zero, and the base is the URDF's root. The last joint's frame keeps
-    the joint's axis as z, but not the URDF's choice of x and origin, which a modified DH table cannot hold.
-
-    Raises:
-        FileError: no URDF; fewer joints; no single chain of revolute joints; a first axis that no table can place in
-            the root's frame.
-    """
-    chain = _revolute_chain(Path(path), joints)
-    lines = [(T[:3, :3] @ joint.axis, 1000.0 * T[:3, 3]) for joint, T in chain]
-    table = _table_of_lines(lines)
-    if table is None:
-        raise FileError(
-            f"{path}: the first joint's axis does not cross the root link's x axis; rotate or move the root link, or"
-            " give the modified DH table as CSV"
-        )
-    return MdhArm(table, tuple(joint.name for joint, _ in chain))
-
-
-def _revolute_chain(path: Path, count: int | None) -> list[tuple[UrdfJoint, Floats]]:
-    """The first ``count`` moving joints (all of them for None) with T_root_joint (4, 4) at zero angles, in m."""
-    joints = urdf_joints(path)
-    moving = sum(joint.kind != "fixed" for joint in joints)
-    count = moving if count is None else count
-    if not 0 < count <= moving:
-        raise FileError(f"{path}: it has {moving} joints, {count} are needed")
-    leaving: dict[str, list[UrdfJoint]] = {}
-    for joint in joints:
-        leaving.setdefault(joint.parent, []).append(joint)
-    at = {next(joint.parent for joint in joints if all(joint.parent != other.child for other in joints)): np.eye(4)}
-    found: list[tuple[UrdfJoint, Floats]] = []
-    while len(found) < count:
-        following = []
-        while at:  # every link that is fixed to the last joint
-            link, T_root_link = at.popitem()
-            for joint in leaving.get(link, []):
-                T_root_joint = T_root_link @ joint.T_parent_joint
-                if joint.kind == "fixed":
-                    at[joint.child] = T_root_joint
-                else:
-                    following.append((joint, T_root_joint))
-        if len(following) != 1 or following[0][0].kind not in REVOLUTE:
-            raise FileError(
-                f"{path}: not a single chain of {count} revolute joints; remove grippers, wheels and prismatic joints"
-            )
-        found += following
-        at = {following[0][0].child: following[0][1]}
-    return found
-
-
-def _table_of_lines(lines: list[Line]) -> Floats | None:
-    """Table (n, 5) of joints that rotate about lines (unit axis, point on it) of the base frame.
+def table_of_lines(lines: list[Line]) -> tuple[Floats, Floats]:
+    """Table (n, 5) of joints that rotate about lines (unit axis, point on it) of a frame, and where its base stands.
 
     Frame i has its z along line i. Its x leads to line i + 1: along the common normal, or, where both are nearly
-    parallel, within the plane across z, and Hayati's tilt makes up the rest. None where line 1 does not cross the
-    base's x.
+    parallel, within the plane across z, and Hayati's tilt makes up the rest. The base is moved, without rotation, as
+    little as line 1 needs to cross its x: the translation (3,), zero where line 1 crosses it already.
     """
-    rotation, origin = np.eye(3), np.zeros(3)
+    rotation, base = np.eye(3), np.zeros(3)
+    first_axis, first_point = lines[0]
     foot = _crossing(lines[0], rotation[:, 1:])
     if foot is None:
-        return None
+        upright = abs(first_axis[2]) > PARALLEL_RAD
+        along = first_point[2] / first_axis[2] if upright else first_point @ first_axis
+        base = first_point - along * first_axis
+        foot = base
+    origin = base
     rows = []
     for (axis, _), following in zip(lines, [*lines[1:], None], strict=True):
         across, up, forward = rotation.T @ axis
@@ -288,7 +240,7 @@ def _table_of_lines(lines: list[Line]) -> Floats | None:
         theta = np.arctan2(np.cross(tilted[:, 0], x) @ axis, tilted[:, 0] @ x)
         rows.append([alpha, a, (leaving - foot) @ axis, theta, beta])
         rotation, origin, foot = np.column_stack([x, np.cross(axis, x), axis]), leaving, next_foot
-    return np.array(rows)
+    return np.array(rows), base
 
 
 def _way_to(line: Line, other: Line, x: Floats) -> tuple[Floats, Floats, Floats]:

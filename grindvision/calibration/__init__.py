@@ -7,18 +7,22 @@ from grindvision.calibration.accurate import (
     Calibration,
     Options,
     calibrate,
+    unknowns_of,
 )
+from grindvision.calibration.beyond_geometry import BeyondGeometry
 from grindvision.calibration.coarse import CoarseCalibration, best_fit, coarse_start, three_point
-from grindvision.calibration.estimate import Spreads, noise_covariances, residuals_of, unit_sizes, whitened_design
+from grindvision.calibration.estimate import Sigmas, noise_covariances, residuals_of, unit_sizes, whitened_jacobian
 from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_rows
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
-from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements, read_measurements
+from grindvision.calibration.joint_terms import JointCorrections, JointTerm
+from grindvision.calibration.measurement_files import read_measurements
+from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements
 from grindvision.calibration.model import (
     ScannerOnArm,
     Unknowns,
     design_matrix,
     entry_name,
-    joint_slopes,
+    joint_jacobian,
     moved_cell,
     table_entries,
 )
@@ -26,19 +30,27 @@ from grindvision.calibration.poses import PoseChoice, choose_poses
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.sphere_centres import find_sphere, noise_clumping
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
+from grindvision.calibration.structure import Finding
+from grindvision.calibration.trust import Foreseen, Suggestion, doubt_about, foreseen_errors, suggest_poses
 
 __all__ = [
     "COVARIANCE_COLUMNS",
+    "BeyondGeometry",
     "Calibration",
     "CoarseCalibration",
     "ErrorStatistics",
+    "Finding",
+    "Foreseen",
     "HeldOut",
     "Identifiability",
+    "JointCorrections",
+    "JointTerm",
     "Measurements",
     "Options",
     "PoseChoice",
     "ScannerOnArm",
-    "Spreads",
+    "Sigmas",
+    "Suggestion",
     "Unknowns",
     "analyse",
     "best_fit",
@@ -49,18 +61,22 @@ __all__ = [
     "correlations",
     "cross_validated",
     "design_matrix",
+    "doubt_about",
     "entry_name",
     "error_statistics",
     "find_sphere",
-    "joint_slopes",
+    "foreseen_errors",
+    "joint_jacobian",
     "moved_cell",
     "noise_clumping",
     "noise_covariances",
     "on_test_rows",
     "read_measurements",
     "residuals_of",
+    "suggest_poses",
     "table_entries",
     "three_point",
     "unit_sizes",
-    "whitened_design",
+    "unknowns_of",
+    "whitened_jacobian",
 ]

@@ -10,32 +10,38 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from grindvision.arm import MdhArm
+from grindvision.calibration.beyond_geometry import BeyondGeometry, choose_terms, kinds_of_terms
 from grindvision.calibration.coarse import coarse_start
-from grindvision.calibration.diagnosis import (
-    SUSPICIOUS_MM,
-    check_fit,
-    check_measurements,
-    far_from_nominal,
-    without_copies,
-)
+from grindvision.calibration.diagnosis import SUSPICIOUS_MM, check_fit
+from grindvision.calibration.dropped import judge_dropped
 from grindvision.calibration.estimate import (
     SMALLEST_MM,
-    Spreads,
+    Sigmas,
     deviations,
-    estimate_spreads,
+    estimate_sigmas,
     gauss_newton,
     noise_covariances,
     posterior_covariance,
     residuals_of,
     unit_sizes,
-    whitened_design,
+    whitened_jacobian,
 )
 from grindvision.calibration.identifiability import Identifiability, analyse
+from grindvision.calibration.input_checks import check_measurements, without_copies
+from grindvision.calibration.joint_terms import DOWN
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns, design_matrix, moved_cell, table_entries
+from grindvision.calibration.model import (
+    ScannerOnArm,
+    Unknowns,
+    carried,
+    moved_cell,
+    table_entries,
+)
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.starts import median_error
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
+from grindvision.calibration.structure import Finding, sentences_of, structure_in
+from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
 from grindvision.errors import InputError, UnitError
 from grindvision.geometry import inverse
 
@@ -43,7 +49,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: So many rows that contradict the others get a sentence each; more are told in one.
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,9 @@ class Options:
     estimate, by name (``d3_mm``), instead of the usual ones. ``length_prior_mm`` and ``angle_prior_rad``: how far the
     table may deviate (standard deviation); learnt from the data where left out. ``robust``: drop rows that contradict
     the others and name them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
+    ``beyond_geometry``: look for gear waves, sag and couplings, and keep what lowers the error of held-out poses;
+    ``gear_ratios`` (n,), where given, add one wave a turn of every motor. ``down``: direction of gravity in the base.
+    ``diagnose``: look for structure in the residuals.
     ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no
     priors, generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
     """
@@ -64,6 +73,10 @@ class Options:
     angle_prior_rad: float | None = None
     robust: bool = True
     worst_std: float = 10.0
+    beyond_geometry: bool = False
+    gear_ratios: tuple[float, ...] = ()
+    down: tuple[float, float, float] = DOWN
+    diagnose: bool = True
     variant: str = "ours"
     tolerance: float = 1e-6
 
@@ -77,12 +90,26 @@ class Options:
 
 
 @dataclass(frozen=True)
+class OffsetsAlone:
+    """What to add to each joint's angle (n,), rad (prismatic: mm), when nothing else is corrected.
+
+    ``known`` (n,) marks zeros that the measurements tell; ``mean_mm`` is the error that is left on the test rows (or,
+    without any, on the training rows).
+    """
+
+    arm: MdhArm
+    change_rad: Floats
+    known: Flags
+    mean_mm: float
+
+
+@dataclass(frozen=True)
 class Calibration:
     """A calibrated cell and what is known about it.
 
     ``cell`` after, ``coarse`` before; ``unknowns`` names K numbers, ``values`` (K,) their change from ``coarse`` and
     ``covariance`` (K, K) that of the result (scanner and base: small motions), in mm and rad. ``identifiability`` holds
-    rank, singular values and null space. ``spreads`` are the noise and the deviations found. ``dropped`` numbers the
+    rank, singular values and null space. ``sigmas`` are the noise and the deviations found. ``dropped`` numbers the
     training rows left out, ``warnings`` says what the user should know.
     """
 
@@ -92,12 +119,15 @@ class Calibration:
     values: Floats
     covariance: Floats
     identifiability: Identifiability
-    spreads: Spreads
+    sigmas: Sigmas
     measurements: Measurements
     dropped: tuple[int, ...]
     iterations: int
     converged: bool
     warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    model_error: ModelError
+    beyond: BeyondGeometry | None
 
     @property
     def arm(self) -> MdhArm:
@@ -107,12 +137,40 @@ class Calibration:
     @property
     def std(self) -> Floats:
         """Standard deviation (K,) of each unknown, NaN where it stands in a combination that cannot be known."""
-        return np.where(self.identifiability.known, np.sqrt(np.diag(self.covariance)), np.nan)
+        return np.where(self.identifiability.known, one_sigma(self.model_error, self.findings), np.nan)
 
     def errors(self, train: bool, before: bool = False) -> ErrorStatistics:
         """Error statistics of the training or the test rows, after calibration or before it (coarse)."""
         chosen = self.measurements.train == train
         return error_statistics(residuals_of(self.coarse if before else self.cell, self.measurements.rows(chosen)))
+
+    def errors_of_dropped(self) -> ErrorStatistics:
+        """Error statistics of the training rows that were left out, after calibration."""
+        return error_statistics(residuals_of(self.cell, self.measurements.rows(list(self.dropped))))
+
+    def offsets_alone(self) -> OffsetsAlone:
+        """Fit the joints' zeros alone to the rows that were kept, for controllers that take nothing else."""
+        kept = self.measurements.train & without_copies(self.measurements)
+        kept[list(self.dropped)] = False
+        used = self.measurements.rows(kept)
+        entries = tuple(5 * joint + (2 if slides else 3) for joint, slides in enumerate(self.arm.prismatic))
+        unknowns = replace(self.unknowns, table=entries)
+        cell, *_ = gauss_newton(self.coarse, self.coarse.arm, unknowns, used, self.sigmas)
+        change = (cell.arm.table - self.coarse.arm.table).ravel()[list(entries)]
+        known = analyse(
+            whitened_jacobian(cell, unknowns, used, self.sigmas), unknowns.names, unit_sizes(used, unknowns)
+        )
+        test = self.measurements.rows(~self.measurements.train) if not self.measurements.train.all() else used
+        return OffsetsAlone(
+            self.arm, change, known.known[unknowns.in_table], error_statistics(residuals_of(cell, test)).mean
+        )
+
+    def foreseen_rms_mm(self, q_rad: Floats, points_scanner: Floats) -> Floats:
+        """Root mean square error (P,) in mm to expect at joint angles (P, n) for points (P, 3) of the scanner's frame.
+
+        The systematic part: what is left of the arm's and the scanner's errors, without the noise of measuring.
+        """
+        return foreseen_rms_mm(self.cell, self.unknowns, self.model_error, q_rad, points_scanner)
 
     def __str__(self) -> str:
         state = "" if self.converged else ", not converged"
@@ -142,9 +200,7 @@ def calibrate(
         DegenerateError: too few measurements for the unknowns, or all from one pose.
     """
     options = options or Options()
-    unknowns = Unknowns(
-        3 if measurements.on_tool else 6, table_entries(arm, options.free), 0 if options.base_fixed else 6
-    )
+    unknowns = unknowns_of(measurements, arm, options)
     warnings = list(check_measurements(measurements, arm, len(unknowns)))
     fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
     training = measurements.rows(fitted)
@@ -155,9 +211,10 @@ def calibrate(
         try:
             fit = _iterated(coarse, arm, unknowns, training, options)
         except UnitError:  # an angle ran beyond a turn: nothing near the nominal arm fits, and ``check_fit`` says why
-            fit = _Fit(coarse, Spreads(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+            fit = _Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+    if not fit.kept.all() and options.variant != "paper" and fit.kept.mean() > 0.5:
+        warnings += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
     warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
-    warnings += far_from_nominal(fit.cell.arm, arm)
     if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
@@ -165,30 +222,82 @@ def calibrate(
         dropped, measurements, "left out, it contradicts", "rows were left out, they contradict", "the others"
     )
     if not measurements.train.all():
-        odd = np.flatnonzero(~measurements.train & ~_consistent(fit, unknowns, training, measurements))
-        warnings += _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
+        warnings += _judge_test_rows(fit, unknowns, training, measurements)
     used = training.rows(fit.kept)
-    rows = whitened_design(fit.cell, unknowns, used, fit.spreads)
+    findings: tuple[Finding, ...] = ()
+    beyond = None
+    ours = options.variant != "paper"
+    error = model_error(fit.cell, arm, unknowns, used, fit.sigmas, options.down, ours and options.diagnose)
+    if ours:
+        if options.diagnose:
+            looked_at = np.union1d(fitted[fit.kept], np.flatnonzero(~measurements.train))
+            findings = structure_in(fit.cell, unknowns, measurements.rows(looked_at), fit.sigmas, options.down)
+            warnings += sentences_of(findings)
+        if options.beyond_geometry and unknowns.table:
+            kinds = kinds_of_terms(arm, used.q_rad, options.down, options.gear_ratios)
+            beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds)
+    rows = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
     return Calibration(
         fit.cell,
         coarse,
         unknowns,
         _change(coarse, fit.cell, unknowns),
-        posterior_covariance(fit.cell, unknowns, used, fit.spreads),
+        honest_covariance(error, findings),
         analyse(rows, unknowns.names, unit_sizes(used, unknowns), options.worst_std),
-        fit.spreads,
+        fit.sigmas,
         measurements,
         dropped,
         fit.iterations,
         fit.converged,
-        tuple(warnings),
+        tuple(dict.fromkeys(warnings)),
+        findings,
+        error,
+        beyond,
     )
+
+
+def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Unknowns:
+    """What a calibration of these measurements seeks.
+
+    Raises:
+        InputError: a name in ``free`` that is no entry of the table.
+    """
+    scanner = 0 if measurements.reflectors and measurements.on_tool else 3 if measurements.on_tool else 6
+    base = 6 if measurements.tracked.any() and not options.base_fixed else 0
+    return Unknowns(
+        scanner,
+        table_entries(arm, options.free),
+        base,
+        reflectors=measurements.reflectors,
+        fixtures=measurements.fixtures,
+    )
+
+
+#: Test rows whose errors are so many times what the fit foresees make its statement doubtful.
+WORSE_THAN_FORESEEN = 1.6
+
+
+def _judge_test_rows(fit: _Fit, unknowns: Unknowns, training: Measurements, measurements: Measurements) -> list[str]:
+    """Name test rows that contradict the calibration, and say where they all lie further off than it foresees."""
+    test = measurements.rows(~measurements.train)
+    expected = _expected(fit, unknowns, training, test, np.zeros(len(test), dtype=bool))
+    residuals = residuals_of(fit.cell, test)
+    odd = np.flatnonzero(~measurements.train)[~consistent_rows(residuals, expected)]
+    told = _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
+    foreseen = np.sqrt(np.median(np.trace(expected, axis1=1, axis2=2)))
+    found = np.sqrt(np.median((residuals**2).sum(axis=1)) * 3 / 2.366)
+    if found > WORSE_THAN_FORESEEN * foreseen and len(test) >= 6:
+        told.append(
+            f"the test rows are {found:.2g} mm off (typical rms) where the training rows foresee {foreseen:.2g} mm:"
+            " something changed between the two, or the training rows do not reach there"
+        )
+    return told
 
 
 @dataclass(frozen=True)
 class _Fit:
     cell: ScannerOnArm
-    spreads: Spreads
+    sigmas: Sigmas
     kept: Flags
     iterations: int
     converged: bool
@@ -202,7 +311,7 @@ def _iterated(coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: M
     agree = _consistent(fit, unknowns, training)
     if agree.all() and median_error(fit.cell, training) <= SUSPICIOUS_MM:
         return fit
-    rough = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
+    rough = Sigmas(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
     cell, steps, _ = gauss_newton(coarse, arm, unknowns, training, rough, robust=True, iterations=20)
     agree = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, rough))
     for _ in range(6):
@@ -216,56 +325,59 @@ def _iterated(coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: M
 def _fit_rows(
     start: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, kept: Flags, options: Options
 ) -> _Fit:
-    """Gauss-Newton, the spreads that its residuals show, and Gauss-Newton with these."""
+    """Gauss-Newton, the sigmas that its residuals show, and Gauss-Newton with these."""
     used = training.rows(kept)
-    spreads = Spreads(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
-    cell, steps, _ = gauss_newton(start, arm, unknowns, used, spreads)
+    sigmas = Sigmas(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
+    cell, steps, _ = gauss_newton(start, arm, unknowns, used, sigmas)
     rest = max(float(np.sqrt((residuals_of(cell, used) ** 2).mean())), SMALLEST_MM)
-    begin = replace(spreads, rest_mm=rest, joint_rad=rest / 1000)
-    spreads = estimate_spreads(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
-    cell, more, converged = gauss_newton(cell, arm, unknowns, used, spreads)
-    return _Fit(cell, spreads, kept, steps + more, converged)
+    begin = replace(sigmas, rest_mm=rest, joint_rad=rest / 1000)
+    sigmas = estimate_sigmas(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
+    cell, more, converged = gauss_newton(cell, arm, unknowns, used, sigmas)
+    return _Fit(cell, sigmas, kept, steps + more, converged)
 
 
-def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements, unseen: Measurements | None = None) -> Flags:
-    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out or unseen leaves more.
+def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements) -> Flags:
+    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out leaves more."""
+    return consistent_rows(residuals_of(fit.cell, training), _expected(fit, unknowns, training, training, fit.kept))
 
-    The rows are those of ``unseen`` where it is given, else the training rows.
-    """
-    judged = training if unseen is None else unseen
-    noise = noise_covariances(fit.cell, judged, fit.spreads)
-    design = design_matrix(fit.cell, judged.q_rad, judged.scanner_mm, unknowns)
-    covariance = posterior_covariance(fit.cell, unknowns, training.rows(fit.kept), fit.spreads)
+
+def _expected(fit: _Fit, unknowns: Unknowns, training: Measurements, judged: Measurements, was_fitted: Flags) -> Floats:
+    """Covariance (M, 3, 3) to expect of the residuals of rows that were fitted or not."""
+    noise = noise_covariances(fit.cell, judged, fit.sigmas)
+    design = carried(fit.cell, judged).design(unknowns)
+    covariance = posterior_covariance(fit.cell, unknowns, training.rows(fit.kept), fit.sigmas)
     pull = design @ covariance @ np.swapaxes(design, 1, 2)
-    was_fitted = fit.kept if unseen is None else np.zeros(len(judged), dtype=bool)
-    expected = np.where(was_fitted[:, None, None], noise - 0.95 * pull, noise + pull)
-    return consistent_rows(residuals_of(fit.cell, judged), expected)
+    return np.where(was_fitted[:, None, None], noise - 0.95 * pull, noise + pull)
 
 
 def _linear_step(coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float) -> _Fit:
     """Eqs 16-18: the generalised inverse of the stacked G_i, applied once to the stacked residuals."""
-    design = design_matrix(coarse, training.q_rad, training.scanner_mm, unknowns).reshape(-1, len(unknowns))
+    design = carried(coarse, training).design(unknowns).reshape(-1, len(unknowns))
     cell = moved_cell(
         coarse, unknowns, np.linalg.pinv(design, rcond=tolerance) @ residuals_of(coarse, training).ravel()
     )
     left = residuals_of(cell, training).ravel()
     freedom = max(len(left) - np.linalg.matrix_rank(design, tol=tolerance * np.linalg.norm(design, 2)), 1)
-    spreads = Spreads(max(float(np.sqrt(left @ left / freedom)), SMALLEST_MM), 0.0, np.inf, np.inf)
-    return _Fit(cell, spreads, np.ones(len(training), dtype=bool), 1, True)
+    sigmas = Sigmas(max(float(np.sqrt(left @ left / freedom)), SMALLEST_MM), 0.0, np.inf, np.inf)
+    return _Fit(cell, sigmas, np.ones(len(training), dtype=bool), 1, True)
 
 
 def _named(
     rows: Sequence[int] | NDArray[np.int64], measurements: Measurements, one: str, many: str, what: str
 ) -> list[str]:
     """Rows that contradict the others: a sentence each, or one for all of them where they are many."""
-    if len(rows) <= MOST_NAMED:
+    if len(rows) <= MAX_NAMED:
         return [f"{one} {what}: {measurements.label(row)}" for row in rows]
-    first = ", ".join(measurements.label(row) for row in rows[:MOST_NAMED])
+    first = ", ".join(measurements.label(row) for row in rows[:MAX_NAMED])
     return [f"{len(rows)} {many} {what}: {first} and others"]
 
 
 def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:
     values = deviations(cell, coarse.arm, unknowns)
+    values[unknowns.in_reflectors] = cell.reflectors_mm.ravel()
+    for kind, part in (("fixtures", cell.fixtures_mm - coarse.fixtures_mm),):
+        if len(part):
+            values[getattr(unknowns, f"in_{kind}")] = part[:, :3].ravel()
     scanner = _twist(cell.T_joint_scanner @ inverse(coarse.T_joint_scanner))
     base = _twist(inverse(coarse.T_tracker_base) @ cell.T_tracker_base)
     values[: unknowns.scanner] = scanner[: unknowns.scanner]

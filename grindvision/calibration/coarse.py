@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm import MdhArm, check_angles, forward
-from grindvision.calibration.estimate import Spreads, gauss_newton, residuals_of
+from grindvision.calibration.estimate import Sigmas, gauss_newton, residuals_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns
 from grindvision.calibration.starts import fixed_base_start, free_base_starts, median_error
@@ -77,12 +77,12 @@ def best_fit(
     if scanner == 6:
         _refuse_line(measurements.scanner_mm, "scanner")
     unknowns = Unknowns(scanner, (), 0 if base_fixed else 6)
-    spreads = Spreads(1.0, 0.0, 1.0, 1.0)
+    sigmas = Sigmas(1.0, 0.0, 1.0, 1.0)
     rng = np.random.default_rng(0)
     starts = [fixed_base_start(measurements, arm, rng)] if base_fixed else free_base_starts(measurements, arm, rng)
     best, smallest = None, np.inf
     for start in starts:
-        cell, *_ = gauss_newton(start, arm, unknowns, measurements, spreads, robust=robust, iterations=20)
+        cell, *_ = gauss_newton(start, arm, unknowns, measurements, sigmas, robust=robust, iterations=20)
         left = median_error(cell, measurements)
         if left < smallest:
             best, smallest = cell, left

@@ -17,12 +17,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals (H, 3) in mm of the unseen ``rows`` (H,), before and after; ``how`` says what was unseen."""
+    """Residuals (H, 3) in mm of the held-out ``rows`` (H,), before and after; ``how`` says what was held out.
+
+    Every row counts, also those that contradict the others: nothing about a row decides whether it is judged.
+    ``beyond_mm`` are residuals of the cells with joint terms, where the calibration has them.
+    """
 
     rows: NDArray[np.int64]
     before_mm: Floats
     after_mm: Floats
     how: str
+    beyond_mm: Floats | None = None
 
     @property
     def before(self) -> ErrorStatistics:
@@ -34,6 +39,16 @@ class HeldOut:
         """Statistics after calibration."""
         return error_statistics(self.after_mm)
 
+    @property
+    def beyond(self) -> ErrorStatistics | None:
+        """Statistics after calibration with joint terms; None without them."""
+        return None if self.beyond_mm is None else error_statistics(self.beyond_mm)
+
+    def part(self, chosen: NDArray[np.bool_]) -> HeldOut:
+        """The held-out rows marked by ``chosen`` (H,) alone."""
+        beyond = None if self.beyond_mm is None else self.beyond_mm[chosen]
+        return HeldOut(self.rows[chosen], self.before_mm[chosen], self.after_mm[chosen], self.how, beyond)
+
     def __str__(self) -> str:
         return f"unseen: {self.after}; before: mean {self.before.mean:.3f} mm; {self.how}"
 
@@ -43,36 +58,46 @@ def on_test_rows(calibration: Calibration) -> HeldOut:
     rows = np.flatnonzero(~calibration.measurements.train)
     test = calibration.measurements.rows(rows)
     before, after = residuals_of(calibration.coarse, test), residuals_of(calibration.cell, test)
-    return HeldOut(rows, before, after, f"{len(rows)} test rows as the file marks them")
+    beyond = None if calibration.beyond is None else residuals_of(calibration.beyond.cell, test)
+    return HeldOut(rows, before, after, f"{len(rows)} test rows as the file marks them", beyond)
 
 
 def cross_validated(calibration: Calibration, options: Options, folds: int = 5, seed: int = 0) -> HeldOut:
     """Errors of fits that left out one fold after the other, for a calibration whose measurements have no test rows.
 
-    Whole spheres stay out together, or whole poses where there are fewer spheres than ``folds``. Rows that the
-    calibration dropped stay out of it. Where the rows are so few that a fold could not be spared, each group is one.
+    Whole spheres stay out together, or whole poses where there are fewer spheres than ``folds``. Each fold decides by
+    itself which of its rows to drop and which joint terms to take; all rows are judged, those too that the calibration
+    dropped. Where the rows are so few that a fold could not be spared, each group is one.
 
     Raises:
-        DegenerateError: one sphere and one pose only.
+        DegenerateError: one sphere and one pose only, or so few rows that none can be held out.
     """
     measurements = calibration.measurements
-    rows = np.setdiff1d(np.arange(len(measurements)), calibration.dropped)
-    labels, kind = measurements.sphere[rows], "spheres"
+    rows = np.arange(len(measurements))
+    labels, kind = measurements.sphere, "spheres"
     if len(np.unique(labels)) < folds:
-        labels, kind = measurements.pose[rows], "poses"
+        labels, kind = measurements.pose, "poses"
     groups = np.unique(labels)
-    spared = len(rows) - len(calibration.unknowns) // 3 - 1
+    spared = len(rows) - len(calibration.dropped) - len(calibration.unknowns) // 3 - 1
     folds = min(folds, len(groups)) if spared >= len(rows) / folds else len(groups)
     if folds < 2:
         raise DegenerateError("all rows carry one sphere and one pose label; label them, so that some can be held out")
+    if spared < 1:
+        raise DegenerateError(
+            f"{len(rows)} measurements determine the {len(calibration.unknowns)} unknowns, but then none can be held"
+            f" out to say how well; measure at least {len(rows) - spared + 1}, or hold some parameters (--free, --fix)"
+        )
     part = dict(zip(np.random.default_rng(seed).permutation(groups), np.arange(len(groups)) % folds, strict=True))
     fold = np.array([part[label] for label in labels])
+    quick = replace(options, diagnose=False, beyond_geometry=calibration.beyond is not None)
     before, after = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+    beyond = None if calibration.beyond is None else np.empty((len(rows), 3))
     for number in range(folds):
         out = fold == number
-        train = np.zeros(len(measurements), dtype=bool)
-        train[rows[~out]] = True
-        fit = calibrate(replace(measurements, train=train), calibration.coarse.arm, options)
-        unseen = measurements.rows(rows[out])
+        fit = calibrate(replace(measurements, train=~out), calibration.coarse.arm, quick)
+        unseen = measurements.rows(out)
         before[out], after[out] = residuals_of(fit.coarse, unseen), residuals_of(fit.cell, unseen)
-    return HeldOut(rows, before, after, f"{folds}-fold cross-validation, whole {kind} left out together, seed {seed}")
+        if beyond is not None:
+            beyond[out] = residuals_of(fit.cell if fit.beyond is None else fit.beyond.cell, unseen)
+    how = f"{folds}-fold cross-validation, whole {kind} left out together, seed {seed}"
+    return HeldOut(rows, before, after, how, beyond)

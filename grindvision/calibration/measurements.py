@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
-from grindvision.errors import FileError, InputError
-from grindvision.files import column_names, read_table
+from grindvision.errors import InputError
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -21,12 +16,9 @@ Flags = NDArray[np.bool_]
 #: Optional columns of a measurement file: the covariance of the sphere's centre in the scanner's frame.
 COVARIANCE_COLUMNS = ("sxx_mm2", "sxy_mm2", "sxz_mm2", "syy_mm2", "syz_mm2", "szz_mm2")
 
-#: Joint angles that differ by less (rad) are one pose, visited again: 0.01 deg, what a controller repeats to.
-SAME_POSE_RAD = 2e-4
+KINDS: dict[str, type] = {"pose": str, "sphere": str, "train": bool, "reflector": int, "fixture": int}
 
-JOINT = re.compile(r"q(\d+)_(?:rad|deg)")
-KNOWN = re.compile(rf"{JOINT.pattern}|[sb][xyz]_m?m|pose|sphere|split|" + "|".join(COVARIANCE_COLUMNS))
-KNOWN_WORDS = "q1_rad or q1_deg ..., sx_mm .. sz_mm, bx_mm .. bz_mm (or _m), pose, sphere, split"
+_TOUCHED = ("reflector", "fixture", "bar_mm")
 
 
 @dataclass(frozen=True)
@@ -37,16 +29,28 @@ class Measurements:
     on the tool; ``tracker_mm`` (M, 3) in the tracker's frame. ``pose`` and ``sphere`` (M,) are labels, ``train`` (M,)
     marks the rows to fit. ``scanner_covariance_mm2`` (M, 3, 3), in the scanner's frame, and ``tracker_std_mm`` may be
     left out.
+
+    Where several reflectors sit on the tool at places known only nearly, ``reflectors`` names them and ``reflector``
+    (M,) numbers each row's (-1: exactly where ``scanner_mm`` says). Where rows touch a fixed thing at an unknown place
+    instead of being tracked, ``fixtures`` holds its kind (``socket`` or ``plane``) and name, and ``fixture`` (M,) its
+    number (-1: tracked; ``tracker_mm`` is not used elsewhere); ``bar_mm`` (M,) is the length of the ball bar from the
+    socket, NaN without one. ``distances_mm`` holds pairs of sockets whose distance is known: (one, other, mm).
     """
 
     q_rad: Floats
     scanner_mm: Floats
     tracker_mm: Floats
-    pose: NDArray[np.str_] = field(default=None)  # type: ignore[arg-type]  # filled below
+    pose: NDArray[np.str_] = field(default=None)  # type: ignore[arg-type]
     sphere: NDArray[np.str_] = field(default=None)  # type: ignore[arg-type]
     train: Flags = field(default=None)  # type: ignore[arg-type]
     scanner_covariance_mm2: Floats | None = None
     tracker_std_mm: float = 0.0
+    reflector: NDArray[np.int64] = field(default=None)  # type: ignore[arg-type]
+    reflectors: tuple[str, ...] = ()
+    fixture: NDArray[np.int64] = field(default=None)  # type: ignore[arg-type]
+    fixtures: tuple[tuple[str, str], ...] = ()
+    bar_mm: Floats = field(default=None)  # type: ignore[arg-type]
+    distances_mm: tuple[tuple[int, int, float], ...] = ()
 
     def __post_init__(self) -> None:
         rows = len(np.atleast_2d(np.asarray(self.q_rad, dtype=float)))
@@ -59,17 +63,20 @@ class Measurements:
             ("pose", (rows,), numbers),
             ("sphere", (rows,), numbers),
             ("train", (rows,), np.ones(rows, dtype=bool)),
+            ("reflector", (rows,), np.full(rows, -1)),
+            ("fixture", (rows,), np.full(rows, -1)),
+            ("bar_mm", (rows,), np.full(rows, np.nan)),
         ):
             value = getattr(self, name)
             if value is None and default is None:
                 continue
-            kind = {"pose": str, "sphere": str, "train": bool}.get(name, float)
+            kind = KINDS.get(name, float)
             array: NDArray[Any] = np.array(default if value is None else value, dtype=kind)
             if array.ndim != len(shape) or any(
                 want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)
             ):
                 raise InputError(f"{name} has shape {array.shape}; {rows} measurements need {shape} (-1: any)")
-            if kind is float and not np.isfinite(array).all():
+            if kind is float and name != "bar_mm" and not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0, 0])
                 raise InputError(f"{name}: row {row + 1} holds NaN or infinity; drop the row or measure it again")
             array.setflags(write=False)
@@ -89,13 +96,25 @@ class Measurements:
         """Whether the measured point never moves in the last joint's frame: a reflector on the tool, not a scan."""
         return bool(np.ptp(self.scanner_mm, axis=0).max() < 1e-9)
 
+    @property
+    def tracked(self) -> Flags:
+        """Flags (M,) of the rows that the tracker measured, and no fixture held."""
+        return self.fixture < 0
+
+    @property
+    def equations(self) -> int:
+        """Equations that the rows give: three each, but one for a bar's length or a touched plane."""
+        planes = np.array([kind == "plane" for kind, _ in self.fixtures] + [False])[self.fixture]
+        one = ~self.tracked & (planes | np.isfinite(self.bar_mm))
+        return int(3 * len(self) - 2 * one.sum()) + len(self.distances_mm)
+
     def rows(self, chosen: ArrayLike) -> Measurements:
         """Return the rows marked or numbered by ``chosen``."""
         chosen, covariance = np.asarray(chosen), self.scanner_covariance_mm2
         return replace(
             self,
             **{name: getattr(self, name)[chosen] for name in ("q_rad", "scanner_mm", "tracker_mm")},
-            **{name: getattr(self, name)[chosen] for name in ("pose", "sphere", "train")},
+            **{name: getattr(self, name)[chosen] for name in ("pose", "sphere", "train", *_TOUCHED)},
             scanner_covariance_mm2=None if covariance is None else covariance[chosen],
         )
 
@@ -129,82 +148,3 @@ class Measurements:
             f"{len(self)} measurements, {len(set(self.sphere))} spheres, {len(set(self.pose))} poses,"
             f" {int(self.train.sum())} to train"
         )
-
-
-def read_measurements(
-    path: str | Path, joints: int | None = None, columns: Mapping[str, str] | None = None
-) -> Measurements:
-    """Read ``pose,sphere,q1_rad..qN_rad,sx_mm..sz_mm,bx_mm..bz_mm[,split]`` for an arm of ``joints`` joints.
-
-    Angles may be given in degrees (``q1_deg``), lengths in metres (``bx_m``). Where no ``s`` column stands, the
-    tracker's reflector sits on the tool. Left out, ``pose`` is the number of the first row with the same joint angles
-    and ``sphere`` is ``pose``, so that a pose visited again is held out as one. Six further columns
-    ``COVARIANCE_COLUMNS`` are used where present. Without ``split`` every row is a training row.
-
-    Args:
-        path: file.
-        joints: of the arm; left out: as many as the file has.
-        columns: our name of columns that the file calls otherwise, see ``read_table``.
-
-    Raises:
-        FileError: missing or damaged file, a column missing, text or NaN where a number belongs, a split that is
-            neither train nor test; the message names row and column.
-    """
-    columns = columns or {}
-    names = {*column_names(path), *columns}
-    for name in columns:
-        if not KNOWN.fullmatch(name):
-            raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
-    numbered = len({match[1] for name in names if (match := JOINT.fullmatch(name))})
-    if numbered == 0:
-        known = ", ".join(column_names(path)[:16])
-        raise FileError(
-            f"{path}: no columns of joint angles (q1_rad or q1_deg ...); found {known}; say which they are, as in"
-            " --columns q1_deg=joint_1"
-        )
-    if joints is not None and numbered != joints:
-        raise FileError(
-            f"{path}: {numbered} columns of joint angles (q1_rad or q1_deg ...), but the robot table has {joints}"
-            " joints; give the table up to the joint that carries the scanner"
-        )
-    angles = [f"q{i + 1}_rad" for i in range(numbered)]
-    seen, measured = ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"]
-    on_tool = not any(re.fullmatch("s[xyz]_m?m", name) for name in names)
-    covariances = list(COVARIANCE_COLUMNS) if set(COVARIANCE_COLUMNS) <= names else []
-    texts = [name for name in ("pose", "sphere", "split") if name in names]
-    table = read_table(path, (*angles, *(() if on_tool else seen), *measured, *covariances), texts, columns)
-    labels = {name: table[name].astype(str).to_numpy(dtype=str) for name in texts}
-    covariance = table[covariances].to_numpy(dtype=float) if covariances else None
-    q_rad = table[angles].to_numpy(dtype=float)
-    pose = labels.get("pose", first_visits(q_rad).astype(str))
-    return Measurements(
-        q_rad,
-        np.zeros((len(table), 3)) if on_tool else table[seen].to_numpy(dtype=float),
-        table[measured].to_numpy(dtype=float),
-        pose=pose,
-        sphere=labels.get("sphere", pose),
-        train=_train_rows(path, labels["split"]) if "split" in labels else np.ones(len(table), dtype=bool),
-        scanner_covariance_mm2=(
-            None if covariance is None else covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        ),
-    )
-
-
-def first_visits(q_rad: ArrayLike) -> NDArray[np.int64]:
-    """For every row of joint angles (M, n) the first row that has them too, within ``SAME_POSE_RAD``."""
-    q = np.asarray(q_rad, dtype=float)
-    tree, first = cKDTree(q), np.full(len(q), -1)
-    for row in range(len(q)):
-        if first[row] < 0:
-            near = np.array(tree.query_ball_point(q[row], SAME_POSE_RAD, p=np.inf))
-            first[near[first[near] < 0]] = row
-    return first
-
-
-def _train_rows(path: str | Path, split: NDArray[np.str_]) -> Flags:
-    split = np.char.strip(split)
-    wrong = ~np.isin(split, ["train", "test"])
-    if wrong.any():
-        row = int(wrong.argmax())
-        raise FileError(f"{path}: row {row + 1}, column split: {str(split[row])!r}; write train or test")
-    return split == "train"

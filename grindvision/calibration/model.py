@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm import PARAMETERS, MdhArm, joint_transforms, joint_twists, moved_by_twist, parameter_twists
+from grindvision.calibration.joint_terms import JointCorrections, JointTerm, bases_of
+from grindvision.calibration.measurements import Measurements
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, skew, small_motion
 
 Floats = NDArray[np.float64]
 
-#: Points whose slopes are worked on at a time: few enough for the processor's cache.
+#: Points whose Jacobians are worked on at a time: few enough for the processor's cache.
 BLOCK = 512
 
 _MOTION = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
@@ -22,11 +25,19 @@ _MOTION = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 
 @dataclass(frozen=True)
 class ScannerOnArm:
-    """An arm, the scanner on its last joint (``T_joint_scanner``) and the tracker looking on (``T_tracker_base``)."""
+    """An arm, the scanner on its last joint (``T_joint_scanner``) and the tracker looking on (``T_tracker_base``).
+
+    ``corrections`` are added to the commanded joint angles. ``reflectors_mm`` (R, 3): how far each reflector stands off
+    the place that the measurements say. ``fixtures_mm`` (F, 4), in the tracker's frame: the unknown point of a socket
+    (x, y, z, 0), or a plane's unit normal and its distance from the origin.
+    """
 
     arm: MdhArm
     T_joint_scanner: Floats
     T_tracker_base: Floats
+    corrections: JointCorrections = field(default_factory=JointCorrections)
+    reflectors_mm: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    fixtures_mm: Floats = field(default_factory=lambda: np.zeros((0, 4)))
 
     def points_base(self, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
         """Points (..., 3) of the scanner's frame, seen at joint angles (..., n), in the arm's base frame (Eq 9)."""
@@ -45,20 +56,36 @@ class ScannerOnArm:
 class Unknowns:
     """Which numbers are sought: the scanner's small motion, entries of the MDH table, the base's small motion.
 
-    ``scanner`` is 6 (motion), 3 (shift only) or 0 columns, ``table`` numbers the entries of the flattened MDH table,
-    ``base`` is 6 or 0 columns. ``names`` carry the units; the number in ``d3_mm`` is the row of the table, so
-    ``alpha3_rad`` is the paper's alpha_2.
+    ``scanner`` is 6 (motion), 3 (translation only) or 0 columns, ``table`` numbers the entries of the flattened MDH
+    table, ``base`` is 6 or 0 columns; between table and base stand the coefficients of ``terms``, three columns for
+    each of ``reflectors`` and three for each of ``fixtures`` (names and kinds). ``names`` carry the units; the number
+    in ``d3_mm`` is the row of the table, so ``alpha3_rad`` is the paper's alpha_2.
     """
 
     scanner: int
     table: tuple[int, ...]
     base: int
+    terms: tuple[JointTerm, ...] = ()
+    reflectors: tuple[str, ...] = ()
+    fixtures: tuple[tuple[str, str], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """One name with unit per unknown, in column order."""
         motion = [[f"{part}_{name}" for name in _MOTION] for part in ("scanner", "base")]
-        return (*motion[0][: self.scanner], *(entry_name(i) for i in self.table), *motion[1][: self.base])
+        fixtures = [
+            f"{kind}_{name}_{part}"
+            for kind, name in self.fixtures
+            for part in (("tilt1_rad", "tilt2_rad", "distance_mm") if kind == "plane" else ("x_mm", "y_mm", "z_mm"))
+        ]
+        return (
+            *motion[0][: self.scanner],
+            *(entry_name(i) for i in self.table),
+            *(term.name for term in self.terms),
+            *(f"reflector_{name}_{axis}_mm" for name in self.reflectors for axis in "xyz"),
+            *fixtures,
+            *motion[1][: self.base],
+        )
 
     @property
     def is_angle(self) -> NDArray[np.bool_]:
@@ -68,12 +95,38 @@ class Unknowns:
     @property
     def in_table(self) -> NDArray[np.bool_]:
         """Flags (K,) of the unknowns that are entries of the MDH table."""
+        return self._flags(self.scanner, len(self.table))
+
+    @property
+    def in_terms(self) -> NDArray[np.bool_]:
+        """Flags (K,) of the unknowns that are coefficients of joint terms."""
+        return self._flags(self.scanner + len(self.table), len(self.terms))
+
+    @property
+    def in_sag(self) -> NDArray[np.bool_]:
+        """Flags (K,) of the unknowns that are compliances of joints."""
+        flags = self.in_terms
+        flags[flags] = [term.kind == "sag" for term in self.terms]
+        return flags
+
+    @property
+    def in_reflectors(self) -> NDArray[np.bool_]:
+        """Flags (K,) of the unknowns that are offsets of reflectors."""
+        return self._flags(self.scanner + len(self.table) + len(self.terms), 3 * len(self.reflectors))
+
+    @property
+    def in_fixtures(self) -> NDArray[np.bool_]:
+        """Flags (K,) of the unknowns that are places of fixtures."""
+        return self._flags(len(self) - self.base - 3 * len(self.fixtures), 3 * len(self.fixtures))
+
+    def _flags(self, first: int, count: int) -> NDArray[np.bool_]:
         flags = np.zeros(len(self), dtype=bool)
-        flags[self.scanner : self.scanner + len(self.table)] = True
+        flags[first : first + count] = True
         return flags
 
     def __len__(self) -> int:
-        return self.scanner + len(self.table) + self.base
+        inner = len(self.table) + len(self.terms) + 3 * len(self.reflectors) + 3 * len(self.fixtures)
+        return self.scanner + inner + self.base
 
 
 def entry_name(entry: int) -> str:
@@ -97,16 +150,19 @@ def table_entries(arm: MdhArm, names: Sequence[str] | None = None) -> tuple[int,
     known = {entry_name(i): i for i in range(5 * arm.n)}
     wrong = [name for name in names if name not in known]
     if wrong:
-        raise InputError(f"{wrong[0]!r} is no entry of this arm's table; its entries are {', '.join(known)}")
+        near = get_close_matches(wrong[0], known, 1)
+        hint = f"; {near[0]} may be meant" if near else ""
+        raise InputError(f"{wrong[0]!r} is no entry of this arm's table{hint}; its entries are {', '.join(known)}")
     return tuple(sorted({known[name] for name in names}))
 
 
 @dataclass(frozen=True)
 class CarriedPoints:
-    """M points of the scanner's frame carried through a cell: what residuals and slopes have in common.
+    """M points of the scanner's frame carried through a cell: what residuals and Jacobians have in common.
 
-    ``frames`` (M, n + 1, 4, 4) are the ``joint_transforms`` at joint angles ``q_rad`` (M, n); ``joint_mm`` and
-    ``base_mm`` (M, 3) the points in the last joint's and in the base frame.
+    ``frames`` (M, n + 1, 4, 4) are the ``joint_transforms`` at the commanded joint angles ``q_rad`` (M, n) with the
+    cell's corrections; ``joint_mm`` and ``base_mm`` (M, 3) the points in the last joint's and in the base frame.
+    ``reflector`` (M,) numbers the reflector of every point, ``fixture`` (M,) the fixture that it touches; -1: none.
     """
 
     cell: ScannerOnArm
@@ -115,6 +171,8 @@ class CarriedPoints:
     frames: Floats
     joint_mm: Floats
     base_mm: Floats
+    reflector: NDArray[np.int64]
+    fixture: NDArray[np.int64]
 
     @property
     def tracker_mm(self) -> Floats:
@@ -124,16 +182,15 @@ class CarriedPoints:
     def moved(self, unknowns: Unknowns, step: ArrayLike) -> CarriedPoints:
         """Return the same points carried through the cell with a step (K,) of its unknowns carried out."""
         cell = moved_cell(self.cell, unknowns, step)
-        return carry(cell, self.q_rad, self.scanner_mm, None if unknowns.table else self.frames)
+        frames = None if unknowns.table or unknowns.terms else self.frames
+        return carry(cell, self.q_rad, self.scanner_mm, frames, self.reflector, self.fixture)
 
     def blocks(self) -> Iterator[tuple[slice, CarriedPoints]]:
         """Parts of at most ``BLOCK`` points, with the rows they are."""
+        arrays = ("q_rad", "scanner_mm", "frames", "joint_mm", "base_mm", "reflector", "fixture")
         for first in range(0, len(self.base_mm), BLOCK):
             rows = slice(first, first + BLOCK)
-            parts = {
-                name: getattr(self, name)[rows] for name in ("q_rad", "scanner_mm", "frames", "joint_mm", "base_mm")
-            }
-            yield rows, CarriedPoints(self.cell, **parts)
+            yield rows, CarriedPoints(self.cell, **{name: getattr(self, name)[rows] for name in arrays})
 
     def design(self, unknowns: Unknowns) -> Floats:
         """How each unknown moves each point in the tracker's frame, (M, 3, K), see ``design_matrix``."""
@@ -143,28 +200,109 @@ class CarriedPoints:
         if unknowns.table:
             twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
             columns.append(moved_by_twist(twists, self.base_mm))
+        if unknowns.terms:
+            columns.append(self._base_jacobian()[..., [term.joint for term in unknowns.terms]])
+            columns[-1] = columns[-1] * bases_of(unknowns.terms, self.q_rad)[..., None, :]
+        if unknowns.reflectors:
+            turned = self.frames[..., -1, :3, :3] @ self.cell.T_joint_scanner[:3, :3]
+            own = np.equal.outer(self.reflector, np.arange(len(unknowns.reflectors)))
+            blocks = own[:, None, :, None] * turned[:, :, None, :]
+            columns.append(blocks.reshape(*turned.shape[:-1], -1))
+        if unknowns.fixtures:
+            columns.append(self.cell.T_tracker_base[:3, :3].T @ self._fixture_columns(unknowns))
         if unknowns.base:
             columns.append(_motion_columns(self.base_mm))
         return self.cell.T_tracker_base[:3, :3] @ np.concatenate(columns, axis=-1)
 
-    def slopes(self) -> Floats:
-        """How each joint angle moves each point in the tracker's frame, (M, 3, n) in mm per rad."""
-        twists = joint_twists(self.cell.arm, self.q_rad, self.frames)
-        return self.cell.T_tracker_base[:3, :3] @ moved_by_twist(twists, self.base_mm)
+    def jacobian(self) -> Floats:
+        """How each joint moves each point in the tracker's frame, (M, 3, n) in mm per rad (prismatic: per mm)."""
+        return self.cell.T_tracker_base[:3, :3] @ self._base_jacobian()
+
+    def _base_jacobian(self) -> Floats:
+        return moved_by_twist(joint_twists(self.cell.arm, self.q_rad, self.frames), self.base_mm)
+
+    def _fixture_columns(self, unknowns: Unknowns) -> Floats:
+        """Minus how each fixture's unknowns move the point that it holds, in the tracker's frame, (M, 3, 3 F)."""
+        columns = np.zeros((len(self.fixture), 3, len(unknowns.fixtures), 3))
+        points = self.tracker_mm
+        for number, (kind, _) in enumerate(unknowns.fixtures):
+            rows = self.fixture == number
+            if kind == "plane":
+                normal = self.cell.fixtures_mm[number, :3]
+                sides = tangents(normal)
+                columns[rows, :, number, :2] = normal[:, None] * (points[rows] @ sides.T)[:, None, :]
+                columns[rows, :, number, 2] = -normal
+            else:
+                columns[rows, :, number] = -np.eye(3)
+        return columns.reshape(*columns.shape[:2], -1)
 
 
 def carry(
-    cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike, frames: Floats | None = None
+    cell: ScannerOnArm,
+    q_rad: ArrayLike,
+    points_scanner: ArrayLike,
+    frames: Floats | None = None,
+    reflector: NDArray[np.int64] | None = None,
+    fixture: NDArray[np.int64] | None = None,
 ) -> CarriedPoints:
     """Carry points (M, 3) of the scanner's frame, seen at joint angles (M, n), through the cell.
 
-    ``frames`` are the ``joint_transforms`` there, where they are known already.
+    ``frames`` are the ``joint_transforms`` there, where they are known already; ``reflector`` and ``fixture`` (M,) as
+    in ``CarriedPoints``.
     """
     q, points = np.asarray(q_rad, dtype=float), np.asarray(points_scanner, dtype=float)
-    frames = joint_transforms(cell.arm, q) if frames is None else frames
-    joint = move_points(cell.T_joint_scanner, points)
+    frames = joint_transforms(cell.arm, cell.corrections.applied(q)) if frames is None else frames
+    none = np.full(points.shape[:-1], -1)
+    reflector, fixture = (none if numbers is None else numbers for numbers in (reflector, fixture))
+    seen = points
+    if len(cell.reflectors_mm) and (reflector >= 0).any():
+        seen = points + np.where((reflector >= 0)[..., None], cell.reflectors_mm[reflector], 0.0)
+    joint = move_points(cell.T_joint_scanner, seen)
     base = np.einsum("...ij,...j->...i", frames[..., -1, :3, :3], joint) + frames[..., -1, :3, 3]
-    return CarriedPoints(cell, q, points, frames, joint, base)
+    return CarriedPoints(cell, q, points, frames, joint, base, reflector, fixture)
+
+
+def carried(cell: ScannerOnArm, measurements: Measurements) -> CarriedPoints:
+    """Carry the points of all rows through the cell."""
+    return carry(cell, measurements.q_rad, measurements.scanner_mm, None, measurements.reflector, measurements.fixture)
+
+
+def measured_points(points: CarriedPoints, measurements: Measurements) -> tuple[Floats, Floats | None]:
+    """Where the points were measured (M, 3), tracker frame, and the directions in which that says nothing (M, 3, 3).
+
+    A reading of the tracker says all three coordinates. A ball in a socket lies at the socket's point; on a ball bar,
+    at the bar's length from it, whatever the direction; a touched point lies in its plane, wherever there. The second
+    array is a projector on the directions that are free, None where there are no fixtures.
+    """
+    if not measurements.fixtures:
+        return measurements.tracker_mm, None
+    predicted, measured = points.tracker_mm, measurements.tracker_mm.copy()
+    free = np.zeros((len(measured), 3, 3))
+    for number, (kind, _) in enumerate(measurements.fixtures):
+        rows = np.flatnonzero(measurements.fixture == number)
+        place = points.cell.fixtures_mm[number]
+        if kind == "plane":
+            off = predicted[rows] @ place[:3] - place[3]
+            measured[rows] = predicted[rows] - off[:, None] * place[:3]
+            free[rows] = np.eye(3) - np.outer(place[:3], place[:3])
+            continue
+        measured[rows] = place[:3]
+        bars = rows[np.isfinite(measurements.bar_mm[rows])]
+        rays = predicted[bars] - place[:3]
+        rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
+        measured[bars] = place[:3] + measurements.bar_mm[bars, None] * rays
+        side = (predicted[bars] - measured[bars]) - rays * ((predicted[bars] - measured[bars]) * rays).sum(1)[:, None]
+        measured[bars] = measured[bars] + side
+        free[bars] = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    return measured, free
+
+
+def tangents(normal: Floats) -> Floats:
+    """Two unit vectors (2, 3) across a unit vector (3,), always the same for the same one."""
+    start = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = np.cross(normal, start)
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(normal, first)])
 
 
 def design_matrix(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike, unknowns: Unknowns) -> Floats:
@@ -175,9 +313,9 @@ def design_matrix(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLik
     return carry(cell, q_rad, points_scanner).design(unknowns)
 
 
-def joint_slopes(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
-    """How each joint angle moves each measured point in the tracker's frame, (M, 3, n) in mm per rad."""
-    return carry(cell, q_rad, points_scanner).slopes()
+def joint_jacobian(cell: ScannerOnArm, q_rad: ArrayLike, points_scanner: ArrayLike) -> Floats:
+    """How each joint moves each measured point in the tracker's frame, (M, 3, n) in mm per rad (prismatic: per mm)."""
+    return carry(cell, q_rad, points_scanner).jacobian()
 
 
 def moved_cell(cell: ScannerOnArm, unknowns: Unknowns, step: ArrayLike) -> ScannerOnArm:
@@ -188,14 +326,35 @@ def moved_cell(cell: ScannerOnArm, unknowns: Unknowns, step: ArrayLike) -> Scann
     twist_scanner, twist_base = np.zeros(6), np.zeros(6)
     twist_scanner[: unknowns.scanner] = step[: unknowns.scanner]
     twist_base[: unknowns.base] = step[len(step) - unknowns.base :]
+    corrections = cell.corrections.changed_by(step[unknowns.in_terms]) if unknowns.terms else cell.corrections
+    reflectors, fixtures = cell.reflectors_mm, cell.fixtures_mm
+    if unknowns.reflectors:
+        reflectors = reflectors + step[unknowns.in_reflectors].reshape(-1, 3)
+    if unknowns.fixtures:
+        fixtures = _moved_fixtures(fixtures, unknowns, step[unknowns.in_fixtures].reshape(-1, 3))
     return replace(
         cell,
         arm=cell.arm.changed_by(table),
         T_joint_scanner=small_motion(twist_scanner) @ cell.T_joint_scanner,
         T_tracker_base=cell.T_tracker_base @ small_motion(twist_base),
+        corrections=corrections,
+        reflectors_mm=reflectors,
+        fixtures_mm=fixtures,
     )
 
 
+def _moved_fixtures(fixtures_mm: Floats, unknowns: Unknowns, steps: Floats) -> Floats:
+    moved = fixtures_mm.copy()
+    for number, (kind, _) in enumerate(unknowns.fixtures):
+        if kind == "plane":
+            normal = moved[number, :3]
+            normal = normal + steps[number, :2] @ tangents(normal)
+            moved[number] = np.append(normal, moved[number, 3] + steps[number, 2]) / np.linalg.norm(normal)
+        else:
+            moved[number, :3] += steps[number]
+    return moved
+
+
 def _motion_columns(points: Floats) -> Floats:
-    shifts = np.broadcast_to(np.eye(3), (*points.shape[:-1], 3, 3))
-    return np.concatenate([shifts, -skew(points)], axis=-1)
+    translations = np.broadcast_to(np.eye(3), (*points.shape[:-1], 3, 3))
+    return np.concatenate([translations, -skew(points)], axis=-1)

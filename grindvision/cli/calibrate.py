@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.parameters import check_count, whole
+from grindvision.cli.calibrate_results import OUTDATED, RobotSource, results_of, write_results
+from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.errors import GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
     from grindvision.arm import MdhArm
-    from grindvision.calibration import Calibration, HeldOut, Measurements
+    from grindvision.calibration import Measurements
 
 EPILOG = """\
 MEASUREMENTS.csv, one row per point measured at one pose of the arm, below a line of names; commas, semicolons, tabs or
@@ -23,17 +24,33 @@ blanks part the columns, further columns are ignored:
   bx_mm, by_mm, bz_mm       the point in the tracker's frame; bx_m .. for metres
   sx_mm, sy_mm, sz_mm       the same point in the scanner's frame. Leave all three out when the tracker's reflector sits
                             on the tool (a tracked arm without scanner): then the reflector's place is found instead
-  pose, sphere              optional labels: rows of one pose, or of one sphere, are held out together
+  pose, sphere              optional labels: rows of one pose, or of one sphere, are held out together; rows in the
+                            order of measuring, so that drifts and jumps can be seen
+  brx_rad, bry_rad, brz_rad or bqw, bqx, bqy, bqz
+                            the tool's orientation in the tracker's frame too (rotation vector or quaternion), where the
+                            tracker measures whole poses
+  reflector                 optional: names of several reflectors on the tool; their places are found
+  socket [, bar_mm]         instead of bx ..: the ball lies in a fixed socket at an unknown place, named here (with
+                            bar_mm: at the end of a ball bar of that length from it)
+  to_socket, distance_mm    optional: the known distance from this row's socket to another
+  plane                     instead of bx ..: the tip touches a fixed plane, named here
+  q3_mm                     a prismatic joint (column type of the robot table) counts in mm, or in m as q3_m
   split                     optional, train or test; without it and without --train the rows are cross-validated
 ROBOT.csv: joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad, one row per joint up to the scanner's (modified DH, Craig:
   Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)); alpha_deg or a_m are converted by their names; joint and beta may be
   left out. From a standard (distal) DH table: move alpha and a one row down, with 0 in the first row.
-ROBOT.urdf: the first N joints of the chain, N as in MEASUREMENTS.csv.
+  Further columns: type (revolute or prismatic; a track is a prismatic first row), lower_rad, upper_rad, speed_rad_s.
+ROBOT.urdf: the first N joints of the chain, N as in MEASUREMENTS.csv; where it branches, up to --tip-link.
 
 results in DIR:
-  robot.csv        the corrected modified DH table
-  hand_eye.json    T_joint_scanner and T_tracker_base, 4x4, mm (T_a_b @ p_b = p_a)
-  report.png       did it work? errors of unseen points before and after, residuals, what can be known
+  robot.csv        the corrected modified DH table, with the limits and speeds that the given one has
+  hand_eye.json    T_joint_scanner and T_tracker_base, 4x4, mm (T_a_b @ p_b = p_a); the base is the URDF's --base-link
+  robot_dh.csv     the same arm as a standard (distal) DH table, where one exists
+  zero_offsets.csv what to add to each joint's zero, in degrees, for controllers that take nothing else (ABB, KUKA,
+                   FANUC), from a fit of its own with only these free; calibration.conf: of a UR, the deltas
+  robot.urdf       the given URDF with corrected joint origins (only with --robot ROBOT.urdf)
+  beyond_geometry.json  gear waves, sag or couplings, where held-out poses say that they help, with their own table
+  report.png       did it work? errors of unseen points, residuals, where it holds, what can be known
   report.json      errors, rank, singular values, standard deviations (null: cannot be known), warnings; written last
 
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
@@ -41,6 +58,8 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 examples:
   grindvision calibrate measurements.csv --robot robot.csv -o cell
   grindvision calibrate tracked.csv --robot ur5.urdf -o arm --train 300
+  grindvision calibrate spheres.csv --robot robot.csv -o cell --free hand-eye
+  grindvision calibrate tracked.csv --robot robot.csv -o arm --box 300 -200 0 700 200 300 --suggest 12
   grindvision calibrate log.csv --robot ur5.csv -o arm --columns q1_deg=joint_1 q2_deg=joint_2 bx_mm=x+dx ...
 """
 
@@ -55,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--columns",
         nargs="+",
         metavar="NAME=COLUMN",
-        help="names of columns that the file calls otherwise; + adds columns, as in bx_mm=x_nominal+x_error",
+        help="names of columns that the file calls otherwise; + and - add columns, as in bx_mm=x_nominal+x_error,"
+        " q3_deg=J3-J2",
     )
     data.add_argument(
         "--train",
@@ -65,13 +85,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     data.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of that draw (default: 0)")
     what = parser.add_argument_group("what to estimate")
+    data.add_argument("--base-link", metavar="LINK", help="link of a URDF where the chain begins (default: its root)")
+    data.add_argument("--tip-link", metavar="LINK", help="link of a URDF where the chain ends (default: its only end)")
     what.add_argument("--base-fixed", action="store_true", help="the tracker measures exactly in the arm's base frame")
     what.add_argument(
         "--free",
         nargs="+",
         metavar="NAME",
-        help="entries of the robot table to estimate, as d3_mm or theta4_rad; the number is the row (default: all of"
-        " them, beta where axes are parallel; how far they may move follows from the data)",
+        help="entries of the robot table to estimate, as d3_mm or theta4_rad, the number is the row; hand-eye: none of"
+        " them, only where scanner and tracker stand; offsets: every theta_rad (and d_mm of a prismatic joint)"
+        " (default: all, beta where axes are parallel; how far they may move follows from the data)",
+    )
+    what.add_argument("--fix", nargs="+", metavar="NAME", help="entries to hold, of those that are free by default")
+    what.add_argument(
+        "--beyond-geometry",
+        choices=("auto", "off"),
+        default="auto",
+        help="auto: look for gear waves, sag and couplings, and write those that lower the error of held-out poses to"
+        " beyond_geometry.json (default: auto)",
+    )
+    what.add_argument(
+        "--gear-ratios", nargs="+", type=number, metavar="RATIO", help="turns of each motor a turn of its joint"
+    )
+    what.add_argument(
+        "--down",
+        nargs=3,
+        type=number,
+        default=[0.0, 0.0, -1.0],
+        metavar=("X", "Y", "Z"),
+        help="direction of gravity in the arm's base frame (default: 0 0 -1, an arm that stands upright)",
+    )
+    where = parser.add_argument_group("where it holds")
+    where.add_argument(
+        "--box",
+        nargs=6,
+        type=number,
+        metavar=("X1", "Y1", "Z1", "X2", "Y2", "Z2"),
+        help="two corners of the work, mm, base frame: the error is foreseen there instead of over all joint angles",
+    )
+    where.add_argument(
+        "--suggest", type=whole, metavar="N", help="write suggested_poses.csv: N joint angles that would help most"
     )
     what.add_argument("--keep-all", action="store_true", help="use every row, also those that contradict the others")
     what.add_argument(
@@ -95,20 +148,23 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     import grindvision.calibration as calibration
-    from grindvision.arm import write_arm
     from grindvision.cli.pictures import drawing
-    from grindvision.files import write_json
 
     draw = drawing("calibrate_picture")
     settings = calibration.Options(
         base_fixed=options.base_fixed,
-        free=None if options.free is None else tuple(options.free),
         robust=not options.keep_all,
         variant=options.variant,
+        beyond_geometry=options.beyond_geometry == "auto",
+        gear_ratios=tuple(options.gear_ratios or ()),
+        down=_unit_vector(options.down),
     )
-    with Run(options, ("measurements",), ("numpy", "scipy", "matplotlib"), 6) as work:
+    with Run(options, ("measurements",), ("numpy", "scipy", "matplotlib"), 7, OUTDATED) as work:
         with work.stage("read"):
-            measurements, arm = _read(options.measurements, options.robot, columns)
+            measurements, arm, source = _read(options, columns)
+            settings = replace(settings, free=_free_entries(options, arm))
+            if settings.base_fixed:
+                measurements = source.in_table_base(measurements)
             if options.train is not None:
                 if not measurements.train.all():
                     raise InputError(f"--train {options.train}, but the file's column split says it too; use one")
@@ -123,29 +179,80 @@ def run(options: argparse.Namespace) -> int:
             if options.train is not None:
                 drawn = f"{len(unseen.rows)} test rows, the others than {int(measurements.train.sum())} drawn to train"
                 unseen = replace(unseen, how=f"{drawn}, seed {options.seed}")
-        told = [*result.warnings]
+        with work.stage("trust"):
+            box = None if options.box is None else np.reshape(options.box, (2, 3))
+            foreseen = calibration.foreseen_errors(result, np.random.default_rng(0), box)
+            suggestion = None
+            if options.suggest is not None:
+                rng = np.random.default_rng(options.seed)
+                suggestion = calibration.suggest_poses(result, foreseen, options.suggest, rng)
+        told = [*result.warnings, *calibration.doubt_about(foreseen, unseen.after.mean)]
         if unseen.after.mean >= unseen.before.mean:
             told.append("calibration did not help: unseen points are no nearer than before; do not use the result")
         for sentence in told:
             warnings.warn(sentence, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
-            write_arm(result.arm, work.place / "robot.csv")
-            hand_eye = {"T_joint_scanner": result.cell.T_joint_scanner, "T_tracker_base": result.cell.T_tracker_base}
-            write_json(work.place / "hand_eye.json", hand_eye)
+            write_results(result, source, suggestion, work.place)
         with work.stage("picture"):
-            draw(result, unseen, work.warnings, work.place / "report.png")
-        point = "reflector on the tool, found" if measurements.on_tool else "scanner on the last joint"
+            draw(result, unseen, foreseen, work.warnings, work.place / "report.png")
         values: dict[str, Any] = {
             "joints": arm.n,
-            "measured point": point,
-            "length_prior_mm": result.spreads.length_mm,
-            "angle_prior_rad": result.spreads.angle_rad,
+            "measured point": _measured_point(measurements),
+            "length_prior_mm": result.sigmas.length_mm,
+            "angle_prior_rad": result.sigmas.angle_rad,
         }
-        if options.free is None:
+        if options.free is None and options.fix is None:
             names, entries = result.unknowns.names, result.unknowns.in_table
             values["free"] = [name for name, entry in zip(names, entries, strict=True) if entry]
-        work.report(str(result), _results(result, unseen), values, shown=str(unseen))
+        shown = [str(unseen)]
+        if result.dropped:
+            shown.append(f"rows left out: {result.errors_of_dropped()}")
+        if unseen.beyond is not None and result.beyond is not None:
+            shown.append(f"with {result.beyond.kind} (beyond_geometry.json): {unseen.beyond}")
+        shown.append(str(foreseen))
+        if suggestion is not None:
+            shown.append(f"{suggestion} (suggested_poses.csv)")
+        work.report(str(result), results_of(result, unseen, foreseen, suggestion), values, shown="\n".join(shown))
     return 0
+
+
+def _measured_point(measurements: Measurements) -> str:
+    if measurements.reflectors:
+        return "several reflectors on the tool, found"
+    return "reflector on the tool, found" if measurements.on_tool else "scanner on the last joint"
+
+
+def _unit_vector(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    length = (x * x + y * y + z * z) ** 0.5
+    if not 0 < length < float("inf"):
+        raise InputError(f"--down is {x:g} {y:g} {z:g}; give a direction")
+    return x / length, y / length, z / length
+
+
+def _free_entries(options: argparse.Namespace, arm: MdhArm) -> tuple[str, ...] | None:
+    """Names of the table's entries to estimate, None for the usual ones.
+
+    Raises:
+        InputError: a name that is no entry, or both --free and --fix.
+    """
+    from grindvision.calibration import entry_name, table_entries
+
+    if options.free is not None and options.fix is not None:
+        raise InputError("--free and --fix say the same twice; use one")
+    if options.fix is not None:
+        held = table_entries(arm, options.fix)
+        return tuple(entry_name(entry) for entry in table_entries(arm) if entry not in held)
+    if options.free is None:
+        return None
+    names: list[str] = []
+    for word in options.free:
+        if word == "offsets":
+            names += [f"d{i + 1}_mm" if slides else f"theta{i + 1}_rad" for i, slides in enumerate(arm.prismatic)]
+        elif word != "hand-eye":
+            names.append(word)
+    table_entries(arm, names)
+    return tuple(names)
 
 
 def _renamed(words: Sequence[str]) -> dict[str, str]:
@@ -157,39 +264,22 @@ def _renamed(words: Sequence[str]) -> dict[str, str]:
     return pairs
 
 
-def _read(measurements: str, robot: str, columns: dict[str, str]) -> tuple[Measurements, MdhArm]:
+def _read(options: argparse.Namespace, columns: dict[str, str]) -> tuple[Measurements, MdhArm, RobotSource]:
     from grindvision.arm import read_arm
     from grindvision.calibration import read_measurements
 
+    robot = options.robot
     if Path(robot).suffix.lower() in (".urdf", ".xml"):
-        from grindvision.arm.urdf import urdf_arm
+        from grindvision.arm.urdf_chain import urdf_chain
 
-        found = read_measurements(measurements, None, columns)
-        return found, urdf_arm(robot, found.q_rad.shape[1])
+        found = read_measurements(options.measurements, None, columns)
+        chain = urdf_chain(robot, found.q_rad.shape[1], options.base_link, options.tip_link)
+        slides = [joint for joint, flag in enumerate(chain.arm.prismatic) if flag]
+        if slides:
+            found = read_measurements(options.measurements, None, columns, slides)
+        return found, chain.arm, RobotSource(robot, chain)
+    if options.base_link or options.tip_link:
+        raise InputError("--base-link and --tip-link name links of a URDF file; a table has none")
     arm = read_arm(robot)
-    return read_measurements(measurements, arm.n, columns), arm
-
-
-def _results(result: Calibration, unseen: HeldOut) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    knowledge, names = result.identifiability, result.unknowns.names
-    errors = {
-        "train": {"before": result.errors(train=True, before=True), "after": result.errors(train=True)},
-        "test": {"before": unseen.before, "after": unseen.after},
-    }
-    return {
-        "rank": knowledge.rank,
-        "unknowns": len(names),
-        "singular_values": knowledge.singular_values,
-        "errors_mm": {part: {when: asdict(value) for when, value in both.items()} for part, both in errors.items()},
-        "held_out": unseen.how,
-        "changes": dict(zip(names, result.values, strict=True)),
-        "standard_deviations": dict(zip(names, result.std, strict=True)),
-        "only_together": list(knowledge.sentences),
-        "observability": knowledge.observability,
-        "noise": asdict(result.spreads),
-        "dropped": [result.measurements.label(row) for row in result.dropped],
-        "iterations": result.iterations,
-        "converged": result.converged,
-    }
+    slides = [joint for joint, flag in enumerate(arm.prismatic) if flag]
+    return read_measurements(options.measurements, arm.n, columns, slides), arm, RobotSource(robot, None)
