@@ -107,11 +107,11 @@ class RegisteredPair:
         Raises:
             DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
         """
-        rng = np.random.default_rng(0)
+        proposing, choosing, refining = np.random.default_rng(0).spawn(3)
         test, sample = prepare_pair(test_points, sample_points, (np.zeros(3), np.zeros(3)))
-        test, poses = propose(test, sample, rng)
-        coarse = choose_pose(test, sample, poses, rng)
-        return cls(sample, test, coarse, refine(test, sample, coarse, rng))
+        test, poses = propose(test, sample, proposing)
+        coarse = choose_pose(test, sample, poses, choosing)
+        return cls(sample, test, coarse, refine(test, sample, coarse, refining))
 
     def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
         """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""

@@ -151,16 +151,18 @@ class Scanner:
         pixels, surface_id = sighting.pixels[kept], sighting.surface_id[kept]
         true_points, normals = sighting.points[kept], sighting.normals[kept]
         z = true_points[:, 2].copy()
+        # drawn for all pixels: one that just meets an edge, or just not, changes none of the others
+        shape, at = sighting.grid_shape, pixels[:, 1] * sighting.grid_shape[1] + pixels[:, 0]
         if errors.mixed_pixels:
-            mixed = self._mix(z, pixels, sighting.grid_shape, rng)
+            mixed = self._mix(z, pixels, shape, at, rng)
             surface_id = np.where(mixed, NO_SURFACE, surface_id)
         disparity = np.zeros(len(z))
         if errors.triangulation_px:
-            disparity += errors.triangulation_px * rng.standard_normal(len(z))
+            disparity += errors.triangulation_px * rng.standard_normal(shape).take(at)
         if errors.correlated_px:
-            noise = correlated(sighting.grid_shape, errors.correlation_length_px / sighting.every, rng)
-            disparity += errors.correlated_px * noise[pixels[:, 1], pixels[:, 0]]
-        white = errors.white_mm * rng.standard_normal(len(z)) if errors.white_mm else np.zeros(len(z))
+            noise = correlated(shape, errors.correlation_length_px / sighting.every, rng)
+            disparity += errors.correlated_px * noise.take(at)
+        white = errors.white_mm * rng.standard_normal(shape).take(at) if errors.white_mm else np.zeros(len(z))
         off = self.systematic_mm(true_points * (z / true_points[:, 2])[:, None]) + self.mm_per_px(z) * disparity
         product = self.focal_px * self.baseline_mm
         return Scan(
@@ -182,12 +184,17 @@ class Scanner:
         """
         return self.measure(self.sight(target, T_world_scanner, every), rng)
 
-    def _mix(self, z: Floats, pixels: Integers, shape: tuple[int, int], rng: np.random.Generator) -> Flags:
-        """Move some pixels at depth edges, in place, part of the way to the neighbour's depth; mark them."""
+    def _mix(
+        self, z: Floats, pixels: Integers, shape: tuple[int, int], at: Integers, rng: np.random.Generator
+    ) -> Flags:
+        """Move some pixels at depth edges, in place, part of the way to the neighbour's depth; mark them.
+
+        ``at`` (N,) are the places of ``pixels`` (N, 2) in a grid of ``shape``, row by row.
+        """
         step = depth_steps(z, pixels, shape)
         edge = np.abs(step) > self.errors.edge_mm
-        mixed = edge & (rng.random(len(z)) < self.errors.mixed_pixels)
-        z[mixed] += rng.random(int(mixed.sum())) * step[mixed]
+        mixed = edge & (rng.random(shape).take(at) < self.errors.mixed_pixels)
+        z[mixed] += rng.random(shape).take(at[mixed]) * step[mixed]
         return mixed
 
 

@@ -24,8 +24,9 @@ _MIX = np.int64(-7046029254386353131)
 class CellGrid:
     """Points (N, 3) sorted into cubic cells of ``size_mm``; the cells are found through a hash table.
 
-    ``order`` (N,) lists the points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``. ``table_keys`` and
-    ``table_cells`` are the open-addressed table from packed cell coordinates to c.
+    Cells are numbered by their coordinates, x slowest, whatever the order of the points. ``order`` (N,) lists the
+    points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``. ``table_keys`` and ``table_cells`` are the
+    open-addressed table from packed cell coordinates to c.
     """
 
     points: Floats
@@ -35,6 +36,14 @@ class CellGrid:
     starts: Integers
     table_keys: Integers
     table_cells: NDArray[np.int32]
+
+    @property
+    def keys(self) -> Integers:
+        """Key (C,) of every cell: its coordinates packed, x first; they rise from cell to cell."""
+        filled = self.table_keys != _EMPTY
+        keys = np.empty(len(self.starts) - 1, dtype=np.int64)
+        keys[self.table_cells[filled]] = self.table_keys[filled]
+        return keys
 
     def __str__(self) -> str:
         return f"{len(self.points):,} points in {len(self.starts) - 1:,} cells of {self.size_mm:.3g} mm"
@@ -116,11 +125,47 @@ def grown_table(keys: Integers, count: int, size: int) -> tuple[Integers, NDArra
     return table_keys, table_cells
 
 
-@njit(cache=True, nogil=True)
 def assign_cells(
     points: Floats, origin: Floats, per_mm: float
 ) -> tuple[NDArray[np.int32], Integers, Integers, NDArray[np.int32]]:
-    """Cell number of each point, keys of the cells in order of first appearance, and the table."""
+    """Cell number (N,) of each point, keys (C,) of the cells, in rising order, and the table (``CellGrid``)."""
+    cell_of_point, keys, table_keys, table_cells = _numbered(points, origin, per_mm)
+    order = np.argsort(keys)
+    _renumber(order, cell_of_point, table_keys, table_cells)
+    return cell_of_point, keys[order], table_keys, table_cells
+
+
+def random_order(keys: Integers, rng: np.random.Generator) -> Integers:
+    """Indices (N,) of things with different keys (N,), such as cells, in a random order that the keys alone decide.
+
+    It is the same however the things are sorted, and where one is missing the others keep their order.
+    """
+    mixed = keys.astype(np.uint64) + rng.integers(2**64, dtype=np.uint64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # SplitMix64 (Steele 2014)
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    return np.argsort(mixed ^ (mixed >> np.uint64(31)))
+
+
+@njit(cache=True, nogil=True)
+def _renumber(
+    order: Integers, cell_of_point: NDArray[np.int32], table_keys: Integers, table_cells: NDArray[np.int32]
+) -> None:
+    """Number cells, listed in their new ``order``, anew, in place."""
+    rank = np.empty(len(order), dtype=np.int32)
+    for cell in range(len(order)):
+        rank[order[cell]] = cell
+    for p in range(len(cell_of_point)):
+        cell_of_point[p] = rank[cell_of_point[p]]
+    for slot in range(len(table_keys)):
+        if table_keys[slot] != _EMPTY:
+            table_cells[slot] = rank[table_cells[slot]]
+
+
+@njit(cache=True, nogil=True)
+def _numbered(
+    points: Floats, origin: Floats, per_mm: float
+) -> tuple[NDArray[np.int32], Integers, Integers, NDArray[np.int32]]:
+    """As ``assign_cells``, the cells in order of first appearance."""
     cell_of_point = np.empty(len(points), dtype=np.int32)
     keys = np.empty(2048, dtype=np.int64)
     table_keys, table_cells = grown_table(keys, 0, 2 * len(keys))

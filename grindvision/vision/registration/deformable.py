@@ -26,12 +26,15 @@ POWERS = tuple((a, b) for a in range(4) for b in range(4) if 2 <= a + b <= 3)
 
 TUKEY = 4.685
 BLOCKS_ACROSS = 12
+AT_REST = 1e-5
 
 
 def refine_bent(
-    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 2
+    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 8
 ) -> FineRegistration:
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
+
+    It ends when the pose rests, by ``AT_REST`` of the residuals' spread, and so does not depend on where it began.
 
     The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent,
     not single residuals. The hidden covariance guesses, from the bends that show, at the part of the field that looks
@@ -42,7 +45,8 @@ def refine_bent(
     size = target.grid.size_mm
     transform = start.T_target_source
     prior = start.rms_mm
-    for _ in range(iterations):
+    done, rests = 0, False
+    while done < iterations and not rests:
         moved = move_points(transform, source)
         residual, up, variance = signed_distances(target, moved, 2 * size)
         used = ~np.isnan(residual) & ((rotate_vectors(transform, normals) * up).sum(axis=1) > 0.7)
@@ -52,11 +56,14 @@ def refine_bent(
         design = np.column_stack([up, np.cross(moved - centre, up), bends])
         solution, information, weights, spread = _robust(design, residual, variance, prior)
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
+        done += 1
+        shift = np.abs(solution[:3]).max() + np.abs(solution[3:6]).max() * np.abs(moved - centre).max()
+        rests = shift < AT_REST * spread
     mistaken = _solved(information, design.T @ (weights[:, None] * hidden)) * _hidden_sizes(solution[6:])
     covariance = block_covariance(moved, design, residual + design @ solution, weights, information)
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
-        iterations=start.iterations + iterations, covariance=covariance[:6, :6],
+        iterations=start.iterations + done, covariance=covariance[:6, :6],
         hidden_covariance=mistaken[:6] @ mistaken[:6].T,
         mean_squares_mm2=np.append(start.mean_squares_mm2, spread**2),
     )  # fmt: skip

@@ -21,8 +21,12 @@ BESIDE = 1.5
 LEAST_FACING = 0.7
 """Least cosine of the angle between the normals of two surfaces that may be the same."""
 
-STAY = 0.01
+STAY = 0.005
 """A point that has moved by a smaller part of a cell keeps the surfel that was found for it."""
+
+NORMAL_NOISE = 0.01
+"""Error in radians of the surfels' normals: steps are damped as if so much were all that holds a motion, or the pose
+would wander along motions that nothing but this error resists."""
 
 EVERY, MANY = 16, 10_000
 """Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
@@ -42,8 +46,8 @@ def icp_planes(
     Residuals are weighted by Tukey's function of their own spread, so beads, outliers and the part of a scan the other
     one does not show pull nothing. Points beside the target's edge (farther along the plane than a cell and a half),
     or whose normal turns more than 45 degrees away from the target's, are not used. The nearest surfel is sought anew
-    only for points that have moved by a hundredth of a cell since, and of many points a few come near first: the search
-    is nearly all the work.
+    only for points that have moved by 1/200 of a cell since, and of many points a few come near first: the search is
+    nearly all the work.
 
     Args:
         max_mm: pairs farther apart are not used; three cells when left out.
@@ -262,8 +266,8 @@ def _plane_icp(
         damped = matrix.copy()
         extent = (matrix[3, 3] + matrix[4, 4] + matrix[5, 5]) / max(matrix[0, 0] + matrix[1, 1] + matrix[2, 2], 1e-300)
         for a in range(3):
-            damped[a, a] += 1e-6 * total
-            damped[3 + a, 3 + a] += 1e-6 * total * extent
+            damped[a, a] += NORMAL_NOISE**2 * total
+            damped[3 + a, 3 + a] += NORMAL_NOISE**2 * total * extent
         step = solve_definite(damped, right)
         rotation = _rotate_and_translate(current, centre, step)
         if np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2) + rotation * np.sqrt(extent) < 1e-3 * scale:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.geometry import move_points, rotate_vectors, rotation_about
+from grindvision.geometry.hash_grid import random_order
 from grindvision.vision.registration.deformable import block_covariance
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan
@@ -31,7 +32,7 @@ def relative_scale(
     not count.
     """
     surface, transform = target.surfels, registration.T_target_source
-    chosen = np.random.default_rng(0).permutation(len(source.surfels))[:n_surfels]
+    chosen = random_order(source.surfels.grid.keys, np.random.default_rng(0))[:n_surfels]
     places = move_points(transform, source.surfels.points[chosen])
     facing = rotate_vectors(transform, source.surfels.normals[chosen])
     scale, deviation = 1.0, np.inf

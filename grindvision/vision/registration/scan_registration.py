@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import AmbiguousError, DegenerateError, InputError
 from grindvision.geometry import check_points
+from grindvision.geometry.hash_grid import random_order
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
@@ -176,7 +177,7 @@ def register_pair(
             ) from None
         raise
     clock.lap("verification")
-    fine = refine(prepared_source, prepared_target, coarse, rng)
+    fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
 
@@ -201,8 +202,8 @@ def propose(source: Scan, target: Scan, rng: np.random.Generator) -> tuple[Scan,
 def refine(
     source: Scan, target: Scan, coarse: VerifiedPose, rng: np.random.Generator, n_surfels: int = 6_000
 ) -> FineRegistration:
-    """Point-to-plane ICP on fine surfels from the verified pose, then once more with a smooth bending allowed."""
-    chosen = np.sort(rng.permutation(len(source.surfels))[:n_surfels])  # neighbours in a row share the cache
+    """Point-to-plane ICP on fine surfels from the verified pose, then with a smooth bending allowed, until it rests."""
+    chosen = np.sort(random_order(source.surfels.grid.keys, rng)[:n_surfels])  # neighbours in a row share the cache
     places, normals = source.surfels.points[chosen], source.surfels.normals[chosen]
     size = target.surfels.grid.size_mm
     found = icp_planes(places, normals, target.surfels, coarse.registration.T_target_source, 2 * size)
@@ -215,9 +216,10 @@ def _first_alignment(
     """Both scans made ready, and the verified pose between them."""
     prepared_source, prepared_target = prepare_pair(source, target, viewpoints_mm)
     clock.lap("features")
-    prepared_source, poses = propose(prepared_source, prepared_target, rng)
+    proposing, choosing = rng.spawn(2)  # how much one stage draws changes nothing in the next
+    prepared_source, poses = propose(prepared_source, prepared_target, proposing)
     clock.lap("coarse")
-    return prepared_source, prepared_target, choose_pose(prepared_source, prepared_target, poses, rng)
+    return prepared_source, prepared_target, choose_pose(prepared_source, prepared_target, poses, choosing)
 
 
 def _fits_mirrored(source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator) -> bool:

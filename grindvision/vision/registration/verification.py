@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.geometry import angle_between, move_points, rigid, rotation_about, small_motion
+from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import parallel_map
 from grindvision.vision.registration.agreement import Agreement, agreeing_share, agreement
 from grindvision.vision.registration.free_motions import motion_name, motion_names
@@ -94,7 +95,7 @@ def choose_pose(
         DegenerateError: no pose brings the scans together; the surfaces contradict each other. AmbiguousError: a rival
             fits as well (the message names the motion that is free).
     """
-    chosen = rng.permutation(len(source.surfels))[:sample]
+    chosen = random_order(source.surfels.grid.keys, rng)[:sample]
     judge = _Judge(
         source.surfels.points[chosen],
         source.surfels.normals[chosen],

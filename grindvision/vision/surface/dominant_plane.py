@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from grindvision.geometry.hash_grid import random_order
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -21,7 +22,7 @@ def plane_fraction(surfels: Surfels) -> float:
     def in_plane(place: Floats, up: Floats) -> NDArray[np.bool_]:
         return (np.abs((points - place) @ up) < within) & (np.abs(normals @ up) > PLANE_COSINE)
 
-    tried = np.random.default_rng(0).permutation(len(points))[:PLANES_TRIED]
+    tried = random_order(surfels.grid.keys, np.random.default_rng(0))[:PLANES_TRIED]
     best = max((in_plane(points[at], normals[at]) for at in tried), key=np.count_nonzero)
     for _ in range(3):  # a patch's own direction is too poor far away from it
         if best.sum() < 3:

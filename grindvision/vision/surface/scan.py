@@ -13,10 +13,17 @@ from grindvision.geometry.neighbours import nearest
 from grindvision.parallel import parallel_map
 from grindvision.vision.surface.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.surface.keypoints import Keypoints
-from grindvision.vision.surface.normals import estimate_normals, guess_viewpoint, orient_to_viewpoint
+from grindvision.vision.surface.normals import estimate_normals, guess_viewpoint
 from grindvision.vision.surface.surfels import Surfels, build_surfels, surface_area
 
 Floats = NDArray[np.float64]
+
+COS_UNSEEN = float(np.cos(np.radians(89)))
+"""Cosine of the angle between normal and ray from which on no scanner sees a surface: the plane of such a surfel runs
+along one line of pixels, at the scan's rim, and which way it faces would be left to rounding."""
+
+SIZES_PER_OCTAVE = 64
+"""Cell sizes are rounded to so many per factor of two, so that a point more or less does not move every cell."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +68,19 @@ def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
     points = np.asarray(points, dtype=float)
     area = surface_area(points)
     surfels = min(25_000 * max(1.0, np.sqrt(len(points) / 500_000)), len(points) / 2)
-    return Resolution(float(np.sqrt(area / len(points))), float(np.sqrt(area / surfels)), float(np.sqrt(area / voxels)))
+    return Resolution(np.sqrt(area / len(points)), _rounded(np.sqrt(area / surfels)), _rounded(np.sqrt(area / voxels)))
 
 
 def coarser(one: Resolution, other: Resolution) -> Resolution:
     """The resolution both scans can be brought to."""
     surfel = max(one.surfel_mm, other.surfel_mm)
     return Resolution(max(one.spacing_mm, other.spacing_mm), surfel, max(one.voxel_mm, other.voxel_mm, 1.5 * surfel))
+
+
+def _rounded(size_mm: float) -> float:
+    """The nearest of ``SIZES_PER_OCTAVE`` evenly spaced sizes between two powers of two."""
+    fraction, exponent = np.frexp(size_mm)
+    return float(np.ldexp(np.round(2 * SIZES_PER_OCTAVE * fraction) / (2 * SIZES_PER_OCTAVE), exponent))
 
 
 def prepare_scan(
@@ -90,12 +103,19 @@ def prepare_scan(
         facing_away = (normals[near] * fine.normals).sum(axis=1) < 0
         fine = replace(fine, normals=np.where(facing_away[:, None], -fine.normals, fine.normals))
     else:
-        fine = replace(fine, normals=orient_to_viewpoint(fine.points, fine.normals, viewpoint))
+        fine = replace(fine, normals=_facing(fine.points, fine.normals, viewpoint))
     if feature_voxels is None:
         features = np.empty((len(coarse), 0))
     else:
         features = compute_fpfh(coarse.points, normals, feature_voxels * voxel)
     return Scan(points, viewpoint, fine, replace(coarse, normals=normals), features)
+
+
+def _facing(points: Floats, normals: Floats, viewpoint_mm: Floats) -> Floats:
+    """Normals (N, 3) turned towards the viewpoint; zero where they are square to the ray (``COS_UNSEEN``)."""
+    rays = viewpoint_mm - points
+    cosines = (rays * normals).sum(axis=1) / np.linalg.norm(rays, axis=1)
+    return np.sign(np.where(np.abs(cosines) < COS_UNSEEN, 0.0, cosines))[:, None] * normals
 
 
 def prepare_pair(

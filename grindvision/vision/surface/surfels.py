@@ -21,6 +21,10 @@ from grindvision.vision.surface.normals import smallest_eigenpair
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+MIN_FLATNESS = 1e-4
+"""A plane is fitted where the two larger variances of the points are nearer to each other than this ratio: points in
+one line lie in any plane through it, and rounding would choose."""
+
 
 @dataclass(frozen=True)
 class Surfels:
@@ -74,13 +78,13 @@ def build_surfels(points: ArrayLike, size_mm: float) -> Surfels:
 
 
 def surface_area(points: ArrayLike) -> float:
-    """Rough area in mm^2 of the scanned surface: occupied cells of 1/70 of the diagonal, on a sample of the points.
+    """Rough area in mm^2 of the scanned surface: occupied cells of 1/70 of the diagonal.
 
     Raises:
         DegenerateError: fewer than 10 points, or all in one place.
     """
     points = np.asarray(points, dtype=float)
-    points = check_points(points[:: max(len(points) // 20_000, 1)], "points", min_points=10)
+    points = check_points(points, "points", min_points=10)
     size = float(np.linalg.norm(np.ptp(points, axis=0))) / 70
     if not size > 0:
         raise DegenerateError("all points of the cloud coincide; is this the right file?")
@@ -146,9 +150,14 @@ def _fit_planes(
                     zz += s[9] + dk * (2 * s[3] + dk * s[0])
         if n < 4:
             continue
-        value, a, b, d = smallest_eigenpair(
+        xx, xy, xz, yy, yz, zz = (
             xx - x * x / n, xy - x * y / n, xz - x * z / n, yy - y * y / n, yz - y * z / n, zz - z * z / n
-        )
+        )  # fmt: skip
+        value, a, b, d = smallest_eigenpair(xx, xy, xz, yy, yz, zz)
+        others = xx + yy + zz - value
+        product = xx * yy + xx * zz + yy * zz - xy * xy - xz * xz - yz * yz - value * others
+        if product < MIN_FLATNESS * others * others:
+            continue
         normals[c, 0], normals[c, 1], normals[c, 2] = a, b, d
         roughness[c] = size * np.sqrt(max(value, 0.0) / (n - 3))
         s = sums[c]
