@@ -250,3 +250,47 @@ def test_the_time_left_is_the_work_left_at_the_pace_of_this_build():
     left.start("00", 150.0)
     left.finish("00", 160.0)
     assert left.seconds(160.0) == 0.0 and left.share_done(160.0) == 1.0
+
+
+# --- the site
+
+
+def test_the_site_is_built_again_only_when_something_has_changed_and_never_half(tmp_path, monkeypatch):
+    from grindvision.errors import GrindvisionError
+    from grindvision_book.site import building
+
+    calls, fails = [], []
+
+    def sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) -> None:
+        pages.mkdir()
+        (pages / "index.html").write_text(f"page {len(calls)}")
+        calls.append(pages)
+        if fails:
+            raise GrindvisionError("the HTML book cannot be built")
+
+    monkeypatch.setattr(building, "_run_sphinx", sphinx)
+    monkeypatch.setattr(building, "_gather", lambda *_: {})
+    monkeypatch.setattr(building, "_write_index", lambda *_: None)
+    for folder in ("executed", "figures", "notebooks"):
+        (tmp_path / folder).mkdir()
+
+    def build() -> tuple[str, int]:
+        asked = {"site": tmp_path / "site", "scenes": (), "reference": False}
+        page = building.build_site(tmp_path, tmp_path / "figures", tmp_path / "notebooks", **asked)
+        return page.read_text(), len(calls)
+
+    assert build() == ("page 0", 1)
+    assert build() == ("page 0", 1)
+    (tmp_path / "executed" / "01_first.ipynb").write_text("{}")
+    assert build() == ("page 1", 2)
+    (tmp_path / "site" / "index.html").write_text("torn")
+    assert build() == ("page 2", 3)
+    (tmp_path / "site_made.json").write_text("[")
+    assert build() == ("page 3", 4)
+    (tmp_path / "executed" / "01_first.ipynb").write_text("[]")
+    fails.append(1)
+    with pytest.raises(GrindvisionError):
+        build()
+    assert (tmp_path / "site" / "index.html").read_text() == "page 3"
+    fails.clear()
+    assert build() == ("page 5", 6)
