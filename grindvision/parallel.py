@@ -1,13 +1,46 @@
-"""Work done side by side in two threads; the compiled kernels release the interpreter lock."""
+"""Work done side by side in two threads, and the linear algebra library kept to one of its own.
+
+The compiled kernels release the interpreter lock. Our arrays are long and thin: threads of the linear algebra library
+cost more than they bring, spin beside ours, and change last digits.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
+
+_blas_lock = threading.Lock()
+_blas_users = 0
+_blas_limit: Any = None
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Inside the block, or the function that it decorates, NumPy's and SciPy's linear algebra runs in one thread.
+
+    The setting is the process's: other threads of the caller have it meanwhile, and afterwards all have back what
+    they had, when the last of several blocks that overlap has ended.
+    """
+    global _blas_users, _blas_limit
+    from threadpoolctl import ThreadpoolController
+
+    with _blas_lock:
+        if _blas_users == 0:
+            _blas_limit = ThreadpoolController().select(user_api="blas").limit(limits=1)
+        _blas_users += 1
+    try:
+        yield
+    finally:
+        with _blas_lock:
+            _blas_users -= 1
+            if _blas_users == 0:
+                _blas_limit.restore_original_limits()
 
 
 def usable_cores() -> int:

@@ -1,63 +1,123 @@
-"""Compiled kernels whose callee, in another file, has changed are compiled anew."""
+"""Kernels keep their machine code: never a stale or damaged one, and without a word where nothing can be kept."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-from grindvision.kernel_caches import drop_stale_caches
+import pytest
 
-CALLEE = "from numba import njit\n\n\n@njit(cache=True)\ndef one():\n    return {}\n"
+from grindvision import caches
+from grindvision.kernels import sources_of
+
+#: Root obeys no rights, unless it gives that up.
+UNPRIVILEGED = ["setpriv", "--bounding-set=-all"] if os.name == "posix" and os.getuid() == 0 else []
+CALLEE = "from grindvision.kernels import njit\n\n\n@njit(cache=True)\ndef one():\n    return {}\n"
 CALLER = (
-    "from numba import njit\n\nfrom grindvision.callee import one\n\n\n"
+    "from grindvision.kernels import njit\n\nfrom grindvision.callee import one\n\n\n"
     "@njit(cache=True)\ndef twice():\n    return 2 * one()\n"
 )
 
 
-def _twice(folder: Path) -> int:
-    forgetting = "from grindvision.kernel_caches import drop_stale_caches; drop_stale_caches()"
-    code = f"{forgetting}; from grindvision.caller import twice; print(twice())"
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=True
-    )
-    return int(run.stdout)
-
-
-def test_a_kernel_notices_that_the_kernel_it_calls_has_changed(tmp_path: Path) -> None:
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package of two kernels in two files, of which one calls the other."""
     package = tmp_path / "grindvision"
     package.mkdir()
-    (package / "__init__.py").write_text("")
-    source = Path(drop_stale_caches.__code__.co_filename)
-    (package / "kernel_caches.py").write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
-    for name in ("__init__.py", "kernel_caches.py"):
-        os.utime(package / name, (0, 0))
+    home = Path(caches.__file__).parent
+    for name in ("caches.py", "kernels.py"):
+        (package / name).write_text((home / name).read_text(encoding="utf-8"), encoding="utf-8")
+    (package / "__init__.py").write_text('__version__ = "0"\n')
     (package / "callee.py").write_text(CALLEE.format(1))
     (package / "caller.py").write_text(CALLER)
-    assert _twice(tmp_path) == 2
-    (package / "callee.py").write_text(CALLEE.format(10))
-    assert _twice(tmp_path) == 20
-    assert drop_stale_caches(package) == []
+    return package
 
 
-def test_caches_stay_while_only_other_files_change(tmp_path: Path) -> None:
-    cache = tmp_path / "vision" / "__pycache__" / "caller.twice-6.py311.nbi"
-    cache.parent.mkdir(parents=True)
-    files = {
-        "geometry/callee.py": "",
-        "vision/caller.py": "from grindvision.geometry.callee import one\n",
-        "other.py": "",
-    }
-    for name, text in files.items():
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text)
-        os.utime(path, (1000, 1000))
-    cache.write_bytes(b"")
-    os.utime(cache, (2000, 2000))
-    assert drop_stale_caches(tmp_path) == []
-    os.utime(tmp_path / "other.py", (3000, 3000))
-    assert drop_stale_caches(tmp_path) == []
-    os.utime(tmp_path / "geometry" / "callee.py", (3000, 3000))
-    assert drop_stale_caches(tmp_path) == [cache] and not cache.exists()
+def _twice(package: Path, **environment: str) -> tuple[int, int]:
+    """What the kernel returns in a new process, and how many kernels were compiled for it."""
+    code = (
+        "import os, tempfile; tempfile.tempdir = os.environ.get('TMPDIR');"
+        "import grindvision.kernels as k, numba.core.dispatcher as d; keep = k.KernelCache.save_overload; n = [];"
+        "k.KernelCache.save_overload = lambda *a: (n.append(1), keep(*a));"
+        "from grindvision.caller import twice; print(twice(), len(n))"
+    )
+    clean = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    run = subprocess.run(
+        [*(UNPRIVILEGED if "HOME" in environment else []), sys.executable, "-c", code],
+        cwd=package.parent,
+        env=clean | {"PYTHONPATH": str(package.parent)} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stderr == ""
+    result, compiled = run.stdout.split()
+    return int(result), int(compiled)
+
+
+def test_nothing_stale_and_nothing_damaged_is_used(package):
+    assert _twice(package) == (2, 2)
+    first, second = (package / "__pycache__" / "kernels").iterdir()
+    content = first.read_bytes()
+    first.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    second.write_bytes(content[:100])
+    assert _twice(package) == (2, 2)
+    (package / "other.py").write_text("")
+    assert _twice(package) == (2, 0)
+    time = (package / "callee.py").stat().st_mtime
+    (package / "callee.py").write_text(CALLEE.format(9))  # as long as before, and as old, as two wheels may have it
+    os.utime(package / "callee.py", (time, time))
+    assert _twice(package) == (18, 2)
+    assert len(list((package / "__pycache__" / "kernels").iterdir())) == 2  # what nothing asks for any more is gone
+
+
+def test_another_cache_folder_may_be_asked_for(package, tmp_path):
+    assert _twice(package, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == (2, 2)
+    assert len(list((tmp_path / "mine").rglob("*.kernel"))) == 2
+    assert not (package / "__pycache__" / "kernels").exists()
+
+
+def test_files_that_a_kernel_depends_on_are_followed_through_others(package):
+    (package / "base.py").write_text("")
+    (package / "callee.py").write_text("from grindvision.base import SIZE\n")
+    found = {file.name for file in sources_of(package / "caller.py", package)}
+    assert found == {"base.py", "callee.py", "caches.py", "caller.py", "kernels.py"}
+
+
+def test_a_read_only_installation_without_a_home(package, tmp_path):
+    """As in a container: what the owner prepared is read, else temporary files are used, else nothing is kept."""
+    if os.name != "posix" or (UNPRIVILEGED and shutil.which("setpriv") is None):
+        pytest.skip("needs POSIX rights, and as root setpriv to give up the right to overrule them")
+    assert _twice(package) == (2, 2)
+    prepared = package / "__pycache__" / "kernels"
+    temporary = tmp_path / "tmp"
+    temporary.mkdir(mode=0o555)
+    without = {"HOME": "/nonexistent", "TMPDIR": str(temporary), "PYTHONDONTWRITEBYTECODE": "1", "XDG_CACHE_HOME": ""}
+    try:
+        _set_rights(package, 0o555)
+        assert _twice(package, **without) == (2, 0)
+        _set_rights(package, 0o755)
+        shutil.rmtree(prepared)
+        _set_rights(package, 0o555)
+        assert _twice(package, **without) == (2, 2)
+        assert _twice(package, **without) == (2, 2)
+        temporary.chmod(0o777)
+        assert _twice(package, **without) == (2, 2)
+        assert _twice(package, **without) == (2, 0)
+        assert not prepared.exists()
+    finally:
+        _set_rights(package, 0o755)
+
+
+def _set_rights(package: Path, mode: int) -> None:
+    for folder in (package, *(path for path in package.rglob("*") if path.is_dir())):
+        folder.chmod(mode)
+
+
+def test_folders_of_others_among_temporary_files_are_not_trusted(tmp_path, monkeypatch):
+    monkeypatch.setattr(caches, "temporary_folder", lambda: tmp_path / "shared")
+    folder = tmp_path / "shared" / "kernels"
+    assert caches.made(folder) and caches.is_ours(folder)
+    (tmp_path / "shared").chmod(0o777)
+    assert not caches.made(folder) and not caches.is_ours(folder)

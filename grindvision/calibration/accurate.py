@@ -44,6 +44,7 @@ from grindvision.calibration.structure import Finding, sentences_of, structure_i
 from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
 from grindvision.errors import InputError, UnitError
 from grindvision.geometry import inverse
+from grindvision.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -181,6 +182,7 @@ class Calibration:
         )
 
 
+@one_blas_thread()
 def calibrate(
     measurements: Measurements,
     arm: MdhArm,

@@ -11,6 +11,7 @@ from grindvision.calibration.accurate import Calibration, Options, calibrate
 from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.errors import DegenerateError
+from grindvision.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +54,7 @@ class HeldOut:
         return f"unseen: {self.after}; before: mean {self.before.mean:.3f} mm; {self.how}"
 
 
+@one_blas_thread()
 def on_test_rows(calibration: Calibration) -> HeldOut:
     """Errors of a calibration on the test rows of its own measurements."""
     rows = np.flatnonzero(~calibration.measurements.train)
@@ -62,6 +64,7 @@ def on_test_rows(calibration: Calibration) -> HeldOut:
     return HeldOut(rows, before, after, f"{len(rows)} test rows as the file marks them", beyond)
 
 
+@one_blas_thread()
 def cross_validated(calibration: Calibration, options: Options, folds: int = 5, seed: int = 0) -> HeldOut:
     """Errors of fits that left out one fold after the other, for a calibration whose measurements have no test rows.
 

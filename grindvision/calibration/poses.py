@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
+from grindvision.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ class PoseChoice:
         return f"{len(self.chosen)} poses chosen, {self.exchanges} exchanges, log determinant up by {gain:.2f}"
 
 
+@one_blas_thread()
 def choose_poses(
     designs: ArrayLike,
     count: int,

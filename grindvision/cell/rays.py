@@ -6,12 +6,12 @@ import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.cell.solids import Solid
 from grindvision.extras import extra
+from grindvision.kernels import njit
 
 with extra("sim"):
     import open3d as o3d
@@ -78,7 +78,7 @@ def target_of(solid: Solid) -> Target:
     return Target(solid)
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _distances(
     origin: Floats,
     directions: Floats,
@@ -102,7 +102,7 @@ def _distances(
     return distances
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _ways(points: Floats, normals: Floats, eye: Floats, centre: Floats) -> Singles:
     """Rays (N, 6) about ``centre`` from just above surface points (N, 3) to the eye, one ray length away."""
     ways = np.empty((len(points), 6), dtype=np.float32)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import InputError
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def distortion(
     return errors.distortion_mm * unit * (points[:, 2] / reference_mm) ** 2
 
 
-@nb.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def sum_of_cosines(points: Floats, waves: Floats, phases: Floats) -> Floats:
     """Sum over the waves (K, 3) and phases (K,) of cos(wave . point + phase) at points (N, 3).
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def directions(x: Floats, y: Floats, rotation: Floats) -> Floats:
     """Rays (x, y, 1) of all columns ``x`` (C,) and rows ``y`` (R,), row by row and turned by ``rotation``: (R C, 3)."""
     directions = np.empty((len(y) * len(x), 3))
@@ -22,7 +23,7 @@ def directions(x: Floats, y: Floats, rotation: Floats) -> Floats:
     return directions
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def seen(
     ray: Integers, z: Floats, facing: Floats, x: Floats, y: Floats, rotation: Floats, baseline_mm: float
 ) -> tuple[Integers, Floats, Floats, Floats]:
@@ -53,7 +54,7 @@ def seen(
     return pixels, points, normals, incidence
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def depth_steps(z: Floats, pixels: Integers, shape: tuple[int, int]) -> Floats:
     """The larger of the steps (N,) in depth from pixels (N, 2) to their neighbours to the right and below."""
     grid = np.full((shape[0] + 1, shape[1] + 1), np.nan)
@@ -69,7 +70,7 @@ def depth_steps(z: Floats, pixels: Integers, shape: tuple[int, int]) -> Floats:
     return steps
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def moved(true_points: Floats, z: Floats, off: Floats, white: Floats, product: float, step_px: float) -> Floats:
     """Points (N, 3) on the rays of the true ones: at depth ``z`` plus ``off``, and moved by ``white`` along the ray.
 

@@ -33,6 +33,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     A run that a signal ends returns 128 and the signal's number.
     """
+    if arguments is None and "numpy" not in sys.modules:
+        os.environ.setdefault(
+            "OPENBLAS_NUM_THREADS", "1"
+        )  # this process is ours: no threads that one_blas_thread rests
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
     with sound_streams():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.parameters import number
+from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.scans import read_pose
 from grindvision.errors import InputError
 
@@ -32,6 +32,7 @@ class RobotJob:
     T_base_scanner: np.ndarray
     torch_speed_mm_s: float
     table_top_mm: float
+    seed: int
 
     def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
         """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
@@ -43,7 +44,7 @@ class RobotJob:
         return plan_motion(
             self.robot,
             trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1),
-            np.random.default_rng(0),
+            np.random.default_rng(self.seed),
             tool_speed_mm_s=self.torch_speed_mm_s,
             obstacles=[scanned("work", move_points(self.T_base_scanner, points))],
             table_top_mm=self.table_top_mm,
@@ -73,6 +74,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default: tool0)")
     group.add_argument("--program", choices=PROGRAMS, help="format of the programme (default: csv)")
     group.add_argument("--torch-speed", type=number, metavar="MM_S", help="along the seam, mm/s (default: 8)")
+    group.add_argument("--seed", type=whole, metavar="N", help="seed of the random start angles (default: 0)")
     group.add_argument("--table-top", type=number, metavar="MM", help="height of the table in the base (default: 0)")
 
 
@@ -83,7 +85,7 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         InputError: an option that needs ``--robot`` without it, or a robot without ``--scanner-pose``.
         FileError: the robot's file or the pose cannot be used. NotRigidError: the pose is no rigid transform.
     """
-    needs_robot = ("flange", "program", "scanner_pose", "torch_speed", "table_top")
+    needs_robot = ("flange", "program", "scanner_pose", "seed", "torch_speed", "table_top")
     if options.robot is None:
         lonely = [name for name in needs_robot if getattr(options, name) is not None]
         if lonely:
@@ -110,7 +112,8 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     speed = 8.0 if options.torch_speed is None else options.torch_speed
     if not 0 < speed < float("inf"):
         raise InputError(f"--torch-speed is {speed:g} mm/s; give a number above 0")
-    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0)
+    check_count("--seed", options.seed or 0, 0, 10**18)
+    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0)
 
 
 def _table_robot(path: str) -> Robot:

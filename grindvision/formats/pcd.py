@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import FileError
@@ -23,6 +22,7 @@ from grindvision.formats.records import (
     too_short,
 )
 from grindvision.input_files import bytes_left, check_memory
+from grindvision.kernels import njit
 
 #: LZF packs no run tighter than 264 bytes into 3.
 LARGEST_RATIO = 88

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry.fits import PlaneFit, SphereFit, check_points, plane_through, sphere_through
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -87,7 +87,7 @@ def _consensus(
     return inliers
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _near_plane(drawn: Floats, points: Floats, threshold_mm: float) -> Flags | None:
     """Points (N,) within the threshold of the plane through three (3, 3)."""
     normal = np.cross(drawn[1] - drawn[0], drawn[2] - drawn[0])
@@ -103,7 +103,7 @@ def _near_plane(drawn: Floats, points: Floats, threshold_mm: float) -> Flags | N
     return near
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _near_sphere(drawn: Floats, points: Floats, threshold_mm: float, radius_mm: float) -> Flags | None:
     """Points (N,) within the threshold of the sphere through four (4, 3); a radius not NaN replaces the sphere's own,
     which must come within 20 % of it."""

@@ -12,6 +12,7 @@ from grindvision.extras import extra
 from grindvision.geometry import vector_angle
 from grindvision.motion.robot import TOOL_FRAME, Robot
 from grindvision.motion.trajectory import Trajectory
+from grindvision.parallel import one_blas_thread
 
 with extra("robot"):
     import pinocchio as pin
@@ -51,6 +52,7 @@ class JointPath:
         )
 
 
+@one_blas_thread()
 def follow_trajectory(
     robot: Robot, trajectory: Trajectory, q_start_rad: Floats, *, spin_free: bool = False
 ) -> JointPath:

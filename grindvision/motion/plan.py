@@ -14,6 +14,7 @@ from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
 from grindvision.motion.robot import Robot
 from grindvision.motion.timing import TimeLaw, time_law
 from grindvision.motion.trajectory import Trajectory
+from grindvision.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +43,7 @@ class Motion:
         return f"{self.robot.name}: {self.path}; {self.clearance}; {self.timing}"
 
 
+@one_blas_thread()
 def plan_motion(
     robot: Robot,
     trajectory: Trajectory,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +74,6 @@ def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, sampl
     acceleration = np.append(_USED * limits.acceleration_rad_s2, TOOL_ACCELERATION)
     # The spline bends most at its knots: the grid has every one of them, and as many points in between as it takes.
     per_gap = max(20, 400 // len(arc))
-    logging.getLogger("toppra").setLevel(logging.ERROR)
     solver = TOPPRA(
         [
             JointVelocityConstraint(np.column_stack([-speed, speed])),

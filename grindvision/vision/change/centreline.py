@@ -8,12 +8,12 @@ from __future__ import annotations
 from heapq import heappop, heappush
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError, TooSmallError
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import Neighbourhoods, within_radius
+from grindvision.kernels import njit
 from grindvision.vision.change.change_detection import Cluster
 from grindvision.vision.surface.clustering import euclidean_clusters
 

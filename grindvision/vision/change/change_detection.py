@@ -13,13 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, rotate_vectors
 from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
 from grindvision.geometry.neighbours import nearest
+from grindvision.kernels import njit
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.change.visibility import in_front, surrounded
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.clustering import euclidean_clusters
@@ -99,6 +100,7 @@ def kd_tree_distances(cloud: Floats, queries: Floats) -> Floats:
     return cKDTree(cloud).query(queries)[0]
 
 
+@one_blas_thread()
 def find_change_paper(
     source_in_target: ArrayLike,
     target: ArrayLike,
@@ -121,6 +123,7 @@ def find_change_paper(
     return distances**2 > threshold_mm if squared else distances > threshold_mm
 
 
+@one_blas_thread()
 def find_change(source: Scan, target: Scan, registration: FineRegistration, min_surfels: int = 10) -> Difference:
     """Where the source, the test part, stands out of the target, the good part, by more than the level of detection.
 

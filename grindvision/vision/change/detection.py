@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, TooSmallError
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
@@ -79,6 +80,7 @@ class Detection:
         return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
 
 
+@one_blas_thread()
 def detect(
     sample: ArrayLike,
     test: ArrayLike,

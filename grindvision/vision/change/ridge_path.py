@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import InputError, TooSmallError
 from grindvision.geometry.curves import Curve
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import Cluster
 
@@ -68,6 +69,7 @@ class BeadPath:
         return -self.normals
 
 
+@one_blas_thread()
 def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     """Follow the ridge of a bead and place ``points`` on it, each in the middle of an equal part of its length.
 

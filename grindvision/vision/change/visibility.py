@@ -6,11 +6,11 @@ What only the test scan shows is no difference: at a rim, behind a shadow, on a 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
+from grindvision.kernels import njit
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]

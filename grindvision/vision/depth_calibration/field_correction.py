@@ -7,13 +7,14 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 from grindvision.formats.arrays import read_arrays
 from grindvision.geometry import check_points, fit_plane, vector_angle
+from grindvision.kernels import njit
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffness, on_axes, smooth_grid, spline_matrix
 
 Floats = NDArray[np.float64]
@@ -96,6 +97,7 @@ class _Plates:
     high: Floats
 
 
+@one_blas_thread()
 def calibrate_field(
     plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None = None
 ) -> FieldCorrection:
@@ -134,6 +136,7 @@ def calibrate_field(
     return _at_measured(FieldCorrection(grid, low, high, binned.normal), fine)
 
 
+@one_blas_thread()
 def held_out_rms_mm(plates: Sequence[ArrayLike], steps_mm: Sequence[float]) -> tuple[float, float]:
     """How well the other plates tell a plate: rms of its bins off flat, before and after a correction without it.
 

@@ -7,11 +7,11 @@ are scored in batches and the best distinct ones kept. ``verification`` then dec
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.parallel import parallel_map
+from grindvision.kernels import njit
+from grindvision.parallel import one_blas_thread, parallel_map
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
 Floats = NDArray[np.float64]
@@ -25,6 +25,7 @@ ROUNDS = ((300, 4_000, 1, 0.45), (1_200, 40_000, 5, 0.1))
 first, which decide where much agrees; many where those leave a doubt."""
 
 
+@one_blas_thread()
 def propose_poses(
     source: Keypoints, target: Keypoints, rng: np.random.Generator, similar: int = 3, kept: int = 40
 ) -> tuple[Floats, Floats]:

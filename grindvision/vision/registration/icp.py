@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, InputError
 from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid, fit_rigid, move_points, skew
+from grindvision.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +53,7 @@ class FineRegistration:
         return f"ICP {state} after {self.iterations} iterations: rms {self.rms_mm:.3g} mm, overlap {self.overlap:.0%}"
 
 
+@one_blas_thread()
 def icp_points(
     source: ArrayLike,
     target: ArrayLike,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points, check_rigid, nearest_rotation, rigid
 from grindvision.geometry.neighbours import nearest_one
+from grindvision.kernels import njit
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.registration.icp import FineRegistration, registration_result
 from grindvision.vision.surface.surfels import Surfels
 
@@ -32,6 +33,7 @@ EVERY, MANY = 16, 10_000
 """Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
 
 
+@one_blas_thread()
 def icp_planes(
     source: ArrayLike,
     source_normals: ArrayLike,

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import fit_rigid, move_points, rigid, small_motion
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,7 @@ class CoarseRegistration:
         return f"SAC-IA: error {self.error:.4g} after {self.tried} samples"
 
 
+@one_blas_thread()
 def sac_ia_paper(
     source: Keypoints,
     target: Keypoints,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import AmbiguousError, DegenerateError, InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import random_order
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
@@ -93,6 +94,7 @@ class StageClock:
             self.finished(name)
 
 
+@one_blas_thread()
 def register(
     source: ArrayLike,
     target: ArrayLike,

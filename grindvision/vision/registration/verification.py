@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.geometry import angle_between, move_points, rigid, rotation_about, small_motion
 from grindvision.geometry.hash_grid import random_order
-from grindvision.parallel import parallel_map
+from grindvision.parallel import one_blas_thread, parallel_map
 from grindvision.vision.registration.agreement import Agreement, agreeing_share, agreement
 from grindvision.vision.registration.free_motions import motion_name, motion_names
 from grindvision.vision.registration.global_registration import distinct_poses
@@ -80,6 +80,7 @@ class VerifiedPose:
         return f"{self.agreement}; confidence {self.confidence:.2f}"
 
 
+@one_blas_thread()
 def choose_pose(
     source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 3, sample: int = 1000
 ) -> VerifiedPose:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, vector_angle
+from grindvision.kernels import njit
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
 

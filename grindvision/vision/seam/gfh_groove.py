@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import NoGrooveError
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.seam.gfh import GrooveFeatures, groove_features, plane_normals, vote
 from grindvision.vision.seam.groove import finite_points
 from grindvision.vision.seam.mls import smooth_mls
@@ -57,6 +58,7 @@ class GfhDetection:
         return f"groove of {count:,} points, {share:.1%} of the cloud, base normal {self.features.base_normal.round(3)}"
 
 
+@one_blas_thread()
 def find_groove_gfh(
     points: ArrayLike, settings: GfhSettings | None = None, viewpoint_mm: ArrayLike | None = None
 ) -> GfhDetection:

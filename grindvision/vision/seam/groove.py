@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.seam.groove_diagnostics import LEAST_WALL_SHARE, wall_share
 from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, fit_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
@@ -62,6 +63,7 @@ class GrooveDetection:
         return f"{len(self.grooves)} groove(s): " + "; ".join(str(groove) for groove in self.grooves)
 
 
+@one_blas_thread()
 def find_grooves(
     points: ArrayLike,
     viewpoint_mm: ArrayLike | None = None,

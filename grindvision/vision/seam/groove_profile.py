@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from grindvision.kernels import njit
 from grindvision.parallel import parallel_map
 from grindvision.vision.seam.profile_fit import fit_stations
 from grindvision.vision.seam.seam_curve import Strip

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
+from grindvision.kernels import njit
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
 

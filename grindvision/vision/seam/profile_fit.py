@@ -7,8 +7,9 @@ the edges, the rounding of the root and half the width of a flat root, mm.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 

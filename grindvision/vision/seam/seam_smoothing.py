@@ -7,8 +7,9 @@ longer than about ``2 pi length_mm`` pass, shorter ones are taken for noise.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points, inverse, move_points, rigid, vector_angle
+from grindvision.kernels import njit
 from grindvision.vision.seam.height_field import field_bounds
 from grindvision.vision.surface.surfels import build_surfels
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.parallel import one_blas_thread
 from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
 from grindvision.vision.seam.groove import find_grooves
 from grindvision.vision.seam.groove_diagnostics import doubts_about
@@ -47,6 +48,7 @@ class Weld:
         return f"{what}; {self.path}{_also('also', self.grooves[1:])}{_also('left out as too small', self.left_out)}"
 
 
+@one_blas_thread()
 def trace_weld(
     points: ArrayLike,
     waypoints: int = 50,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
+from grindvision.kernels import njit
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]

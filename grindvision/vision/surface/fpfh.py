@@ -9,13 +9,13 @@ weighted ones of its neighbours, each third scaled to a sum of 100.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
+from grindvision.kernels import njit
 from grindvision.parallel import usable_cores
 
 Floats = NDArray[np.float64]

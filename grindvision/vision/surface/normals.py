@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import bounds, build_cells
 from grindvision.geometry.neighbours import within_radius
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry.hash_grid import cell_key, find_slot
 from grindvision.geometry.neighbours import nearest_one
+from grindvision.kernels import njit
 from grindvision.parallel import parallel_map
 from grindvision.vision.surface.surfels import Surfels
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import CellGrid, assign_cells, cell_key, cell_origin, find_slot
+from grindvision.kernels import njit
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import bounds, find_slot, grown_table
+from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
