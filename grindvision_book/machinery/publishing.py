@@ -27,10 +27,11 @@ class Publication:
 
     def __str__(self) -> str:
         """One line for the terminal."""
+        more = f" and {len(self.reasons) - 1} more" if len(self.reasons) > 1 else ""
         told = {
             "kept": "as committed",
             "restored": "restored from the commit, with whose data the rebuilt ones agree",
-            "replaced": f"replaced: {'; '.join(self.reasons)}",
+            "replaced": f"replaced: {self.reasons[0] if self.reasons else 'redrawn'}{more}",
             "new": "new",
         }[self.action]
         moved = f" (the files found there are now {', '.join(self.aside)})" if self.aside else ""
