@@ -7,7 +7,7 @@ import pytest
 from grindvision import cell
 from grindvision.cell.experiment4 import printed_path
 from grindvision.geometry import angle_between, move_points
-from grindvision_book.compound import (
+from grindvision_book.chapter_08.compound import (
     ORIENTATIONS_DEG,
     SOURCES,
     compound_case,
@@ -16,7 +16,7 @@ from grindvision_book.compound import (
     spreads,
     workplace,
 )
-from grindvision_book.limits import displacement
+from grindvision_book.chapter_09.limits import displacement
 
 pytestmark = pytest.mark.xdist_group("compound")  # one workplace, one plan, one cell
 

@@ -6,7 +6,7 @@ import pytest
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors
-from grindvision_book.grinding import Wheel, grind
+from grindvision_book.chapter_09.grinding import Wheel, grind
 
 HEIGHT, WIDTH = 1.5, 4.0
 WHEEL = Wheel(radius_mm=15.0, width_mm=6.0)

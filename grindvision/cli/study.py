@@ -37,12 +37,12 @@ def run(options: argparse.Namespace) -> int:
     from grindvision_book.studies.running import run_study
 
     if options.study == "compound":
-        from grindvision_book.compound import compound_case
+        from grindvision_book.chapter_08.compound import compound_case
 
         measure: Callable[..., dict[str, Any]] = compound_case
         cases = pd.DataFrame({"stream": range(options.cases)})
     else:
-        from grindvision_book.limits import RANGES, path_case
+        from grindvision_book.chapter_09.limits import RANGES, path_case
         from grindvision_book.studies.designs import space_filling
 
         measure = path_case

@@ -39,7 +39,7 @@ from grindvision.vision.registration.scan_registration import propose, refine
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
 from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
 from grindvision.vision.surface.scan import Scan as PreparedScan
-from grindvision_book.grinding import square_to
+from grindvision_book.chapter_08.offsets import square_to
 
 if TYPE_CHECKING:
     import pandas as pd

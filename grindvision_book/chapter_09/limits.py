@@ -19,8 +19,9 @@ from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, small_motion, vector_angle
 from grindvision.vision.change.ridge_path import BeadPath
 from grindvision.vision.surface.voxel_grid import voxel_grid
-from grindvision_book.compound import RegisteredPair
-from grindvision_book.grinding import GroundBead, Wheel, grind, resampled, square_to
+from grindvision_book.chapter_08.compound import RegisteredPair
+from grindvision_book.chapter_08.offsets import square_to
+from grindvision_book.chapter_09.grinding import GroundBead, Wheel, grind, resampled
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import InputError
@@ -136,12 +135,3 @@ def resampled(points_mm: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:
         return np.column_stack([np.interp(at, s, column) for column in columns.T])
 
     return interpolated(points), interpolated(values)
-
-
-def square_to(line_mm: Floats, points_mm: Floats) -> Floats:
-    """Vectors (N, 3), square to a finely sampled line (M, 3), from the line to points (N, 3) beside it."""
-    tangents = np.gradient(line_mm, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    _, near = cKDTree(line_mm).query(points_mm)
-    away = points_mm - line_mm[near]
-    return away - np.einsum("ij,ij->i", away, tangents[near])[:, None] * tangents[near]
