@@ -48,8 +48,7 @@ def disagreements(rebuilt: Files, committed: Files) -> list[str]:
 
 def differences(rebuilt: Files, committed: Files) -> list[str]:
     """One line for everything in which two versions of one figure, table or set of answers differ."""
-    found = [f"{name}: committed, but not made" for name in sorted(committed.keys() - rebuilt.keys())]
-    found += [f"{name}: made, but not committed" for name in sorted(rebuilt.keys() - committed.keys())]
+    found = []
     for name in sorted(rebuilt.keys() & committed.keys()):
         if rebuilt[name] == committed[name]:
             continue
@@ -58,6 +57,8 @@ def differences(rebuilt: Files, committed: Files) -> list[str]:
             found += [f"{name}: {line}" for line in _different_values(name, *tables)]
         elif not _same_words(*(_words(name, files[name]) for files in (rebuilt, committed))):
             found.append(f"{name}: other words in its caption or text")
+    found += [f"{name}: made, but not committed" for name in sorted(rebuilt.keys() - committed.keys())]
+    found += [f"{name}: committed, but not made" for name in sorted(committed.keys() - rebuilt.keys())]
     return found
 
 
