@@ -1,4 +1,4 @@
-"""``grindvision groove``: a scan in, the weld groove and the torch's trajectory out."""
+"""``grindvision groove``: a scan in, the weld seams and the torch's trajectory out."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from grindvision.cli.scans import (
     where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.vision.seam.joints import FAMILIES, KINDS
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from grindvision.vision.seam.joints import Seam
     from grindvision.vision.seam.weld import Weld
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
@@ -37,19 +39,20 @@ COLUMNS = "waypoint,x_mm,y_mm,z_mm,nx,ny,nz,roll_rad,pitch_rad,yaw_rad"
 
 EPILOG = """\
 results in DIR:
-  trajectory.csv   way points along the first groove's root, outward normals, and the torch's roll, pitch, yaw
+  trajectory.csv   way points along the first seam's root, outward normals, and the torch's roll, pitch, yaw
                    (R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam), frame of CLOUD
-  trajectory_2.csv, ...  further grooves, smaller after larger, those that may be gaps between two things last
-  labels.npy       bool, one per point of CLOUD in its order: does it belong to a groove?
+  trajectory_2.csv, ...  further seams: grooves, smaller after larger, then corners, the longest first
+  labels.npy       bool, one per point of CLOUD in its order: does it belong to a seam?
   program.*        with --robot: the motion for the controller
   report.png       did it work? the groove and the path on the cloud, the path's course
-  report.json      widths, depths, lengths, timings, versions, parameters; written last
+  report.json      kinds of seams with the evidence, sizes, timings, versions, parameters; written last
 
-exit code: 0 done, 2 the input cannot be used or shows no groove (one line says why), 1 anything else
+exit code: 0 done, 2 the input cannot be used or shows no seam (one line says why), 1 anything else
 
 examples:
   grindvision groove plate.pcd -o weld --unit m
   grindvision groove plate.ply -o weld --waypoints 80 --width 12
+  grindvision groove bracket.ply -o weld --joint fillet
   grindvision groove plate.ply -o weld --field-correction camera/field.npz
   grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
 """
@@ -64,13 +67,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_viewpoint_argument(scan, "--viewpoint", "CLOUD")
     add_mirrored_argument(scan, "CLOUD")
     add_field_argument(scan)
-    groove = parser.add_argument_group("groove and path")
-    groove.add_argument("--waypoints", type=whole, default=50, metavar="N", help="along each groove (default: 50)")
+    groove = parser.add_argument_group("seam and path")
+    groove.add_argument("--waypoints", type=whole, default=50, metavar="N", help="along each seam (default: 50)")
     groove.add_argument(
         "--width",
         type=number,
         metavar="MM",
         help="rough width of the groove, for faint or unusual ones (default from the data: what stands out most)",
+    )
+    groove.add_argument(
+        "--joint",
+        choices=(*FAMILIES, *KINDS),
+        default="any",
+        metavar="KIND",
+        help=f"look for one kind of seam or a family of kinds: {', '.join((*FAMILIES, *KINDS))} (default: any, the"
+        " surest that is there)",
     )
     groove.add_argument(
         "--variant",
@@ -87,6 +98,9 @@ def run(options: argparse.Namespace) -> int:
     check_count("--waypoints", options.waypoints, 2, 100_000)
     if options.width is not None and not (options.width > 0 and options.variant == "ours"):
         raise InputError(f"--width is {options.width:g} mm; give a width above 0, and leave --variant at ours")
+
+    if options.joint != "any" and options.variant != "ours":
+        raise InputError(f"--joint {options.joint} is for --variant ours; the paper's method knows grooves only")
 
     import numpy as np
 
@@ -110,7 +124,9 @@ def run(options: argparse.Namespace) -> int:
                 points = corrected(field, cloud, points, options.cloud)
         for doubt in pose_doubts(job.T_base_scanner, points) if job else []:
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
-        weld = trace_weld(points, options.waypoints, options.variant, options.viewpoint, width_mm=options.width)
+        weld = trace_weld(
+            points, options.waypoints, options.variant, options.viewpoint, None, options.width, options.joint
+        )
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels
         labels[copies] = labels[originals]
@@ -161,6 +177,28 @@ def _results(weld: Weld, labels: np.ndarray) -> dict[str, Any]:
         "path_length_mm": weld.path.length_mm,
         "euler_order": "R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam",
         "grooves": grooves,
+        "seams": [_seam_facts(seam) for seam in weld.seams],
+        "less_certain": [_seam_facts(seam) for seam in weld.weaker],
+    }
+
+
+def _seam_facts(seam: Seam) -> dict[str, Any]:
+    import numpy as np
+
+    return {
+        "kind": seam.kind,
+        "evidence": seam.evidence,
+        "length_mm": seam.length_mm,
+        "closed": seam.closed,
+        "root_sigma_mm": float(np.median(seam.sigma_mm)),
+        "opening_deg": float(np.median(seam.opening_deg)),
+        "opening_sigma_deg": seam.opening_sigma_deg,
+        "legs_mm": [float(leg) for leg in np.median(seam.legs_mm, axis=1)],
+        "gap_mm": float(np.median(seam.gap_mm)),
+        "gap_sigma_mm": seam.gap_sigma_mm,
+        "step_mm": float(np.median(seam.step_mm)),
+        "step_sigma_mm": seam.step_sigma_mm,
+        "interruptions_mm": [[one.start_mm, one.end_mm] for one in seam.interruptions],
     }
 
 

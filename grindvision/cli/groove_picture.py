@@ -39,7 +39,7 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path) ->
     figure = Figure(figsize=(11, 10), layout="constrained")
     panels = figure.subplot_mosaic([["view", "view"], ["course", "cut"]], height_ratios=(3, 1))
     view, course = panels["view"], panels["course"]
-    for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "groove")):
+    for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "seam")):
         seen = (points[kept][chosen] - middle) @ axes_across
         view.plot(*seen.T, ".", ms=1, color=colour)
         view.plot([], [], "o", color=colour, label=name)
@@ -47,7 +47,7 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path) ->
         way = (seam.points - middle) @ axes_across
         view.plot(*way.T, ".-", ms=4, lw=1, color=PATH, label=f"path {number}" if len(weld.paths) > 1 else "path")
         view.annotate("start", way[0], textcoords="offset points", xytext=(4, 6), bbox=LABEL)
-    view.set(aspect="equal", xlabel="along the groove, mm", ylabel="across, mm")
+    view.set(aspect="equal", xlabel="along the seam, mm", ylabel="across, mm")
     view.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     heights = (weld.path.points - middle) @ up
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(weld.path.points, axis=0), axis=1))])
@@ -67,8 +67,12 @@ def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) ->
     along = along - up * (along @ up)
     along = along / np.linalg.norm(along)
     across = np.cross(up, along)
-    width = float(np.median(weld.grooves[0].width_mm)) if weld.grooves else float(np.ptp(points[labels] @ across))
-    reach = 1.5 * width
+    if weld.grooves:
+        reach = 1.5 * float(np.median(weld.grooves[0].width_mm))
+    elif weld.seams:
+        reach = float(np.clip(1.5 * np.median(weld.seams[0].legs_mm, axis=1).min(), 5.0, 30.0))
+    else:
+        reach = 1.5 * float(np.ptp(points[labels] @ across))
     kept = np.flatnonzero(np.abs(points @ along - origin @ along) < reach / 20)
     places = (points[kept] - origin) @ np.stack([across, up], axis=1)
     near = (np.abs(places) < [reach, 1.5 * reach]).all(axis=1)
@@ -80,11 +84,9 @@ def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) ->
 
 
 def _verdict(weld: Weld) -> tuple[str, str]:
-    if not weld.grooves:
+    if not weld.seams:
         return "Found a groove, by the paper's method", f"{weld}. Frame: the cloud's."
-    groove = weld.grooves[0]
-    size = f"{groove.length_mm:.0f} mm long, {np.median(groove.width_mm):.1f} mm wide"
-    depth = f"{np.median(groove.depth_mm):.1f} mm deep"
-    if len(weld.grooves) == 1:
-        return f"Found 1 groove: {size}, {depth}", f"{weld.path}. Frame: the cloud's."
-    return f"Found {len(weld.grooves)} grooves; the first: {size}, {depth}", f"{weld.path}. Frame: the cloud's."
+    first, count = weld.seams[0], len(weld.seams)
+    found = f"Found 1 {first.kind}" if count == 1 else f"Found {count} seams; the first: {first.kind}"
+    facts = f"{weld.path}. {first.evidence}. Frame: the cloud's."
+    return f"{found}, {first.length_mm:.0f} mm long, {first.size}", facts

@@ -69,6 +69,7 @@ def find_grooves(
     viewpoint_mm: ArrayLike | None = None,
     width_mm: float | None = None,
     spacing_mm: float | None = None,
+    bevel: bool = False,
 ) -> GrooveDetection:
     """Find the V-grooves of a single-view cloud.
 
@@ -78,14 +79,43 @@ def find_grooves(
             there; otherwise both sides of the surface are tried and the one with the larger groove counts.
         width_mm: rough width of the grooves; estimated when left out.
         spacing_mm: typical distance of neighbouring points; estimated when left out.
+        bevel: whether one wall may be upright, with the root below its edge.
 
     Raises:
         InputError: wrong shape, too few points, a width that the spacing cannot resolve. UnitError: the size of the
             cloud fits no part in mm. NoGrooveError: the cloud shows no groove.
     """
+    view = seen_cloud(points, viewpoint_mm, spacing_mm)
+    return grooves_of(view, width_mm, bevel)
+
+
+@dataclass(frozen=True)
+class SeenCloud:
+    """Finite points (N, 3) of a cloud, ``valid`` which rows of the flat cloud they are, its ``shape`` without the last
+    axis, ``sides`` the frames from which its surfaces are seen straight on (``field_frames``), and its spacing."""
+
+    points: Floats
+    valid: Flags
+    shape: tuple[int, ...]
+    sides: list[list[Floats]]
+    spacing_mm: float
+
+
+def seen_cloud(points: ArrayLike, viewpoint_mm: ArrayLike | None, spacing_mm: float | None = None) -> SeenCloud:
+    """A cloud made ready for the detectors.
+
+    Raises:
+        InputError: wrong shape or too few points. UnitError: no part in mm is of this size.
+    """
     cloud, valid = finite_points(points)
     sides = field_frames(cloud, viewpoint_mm)
     spacing = spacing_of(cloud, sides[0][0]) if spacing_mm is None else float(spacing_mm)
+    return SeenCloud(cloud, valid, np.shape(points)[:-1], sides, spacing)
+
+
+def grooves_of(view: SeenCloud, width_mm: float | None = None, bevel: bool = False) -> GrooveDetection:
+    """``find_grooves`` in a cloud that was made ready."""
+    cloud, valid, sides, spacing = view.points, view.valid, view.sides, view.spacing_mm
     if width_mm is not None and not width_mm >= LEAST_POINTS_ACROSS * spacing:
         raise InputError(
             f"the points are {spacing:.2g} mm apart, too sparse for a groove {width_mm:.3g} mm wide; at least"
@@ -93,7 +123,7 @@ def find_grooves(
         )
     best: tuple[list[DetectedGroove], Floats, bool] = [], sides[0][0], False
     for frames in sides:
-        grooves, cluttered = _grooves_seen(cloud, frames, spacing, width_mm)
+        grooves, cluttered = _grooves_seen(cloud, frames, spacing, width_mm, bevel)
         if _total_volume(grooves) > _total_volume(best[0]):
             best = grooves, frames[0], cluttered
     if not best[0]:
@@ -109,7 +139,7 @@ def find_grooves(
     grooves = [groove for groove in found if groove.volume_mm3 >= least]
     for number, groove in reversed(list(enumerate(grooves))):
         rank[groove.members] = number
-    ranks = rank.reshape(np.shape(points)[:-1])
+    ranks = rank.reshape(view.shape)
     left_out = tuple(groove for groove in found if groove.volume_mm3 < least)
     return GrooveDetection(tuple(grooves), ranks, spacing, best[1], left_out, best[2])
 
@@ -148,7 +178,7 @@ def _with_members(groove: DetectedGroove, members: Integers) -> DetectedGroove:
 
 
 def _grooves_seen(
-    cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None
+    cloud: Floats, frames: list[Floats], spacing: float, width_mm: float | None, bevel: bool
 ) -> tuple[list[DetectedGroove], bool]:
     """Grooves of one side of the surface, largest first, what may be gaps last; one seen from several directions counts
     once.
@@ -168,7 +198,7 @@ def _grooves_seen(
             for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
                 if not _known(path, found):
-                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found)
+                    groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found, bevel)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
             cluttered = cluttered or (look > 0 and len(found) > before)
             if not all(may_be_gap(groove) for groove in found):

@@ -53,6 +53,8 @@ WORST_FIT_RATIO, LEAST_FIT_SHARE, WORST_FIT_SHARE = 3.0, 0.03, 0.12
 WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
 #: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
 WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
+#: The root of a groove with one upright wall lies below its edge.
+WORST_SKEW_OF_BEVEL = 0.5
 #: Floors (half of them) and roundings tried, in shares of the width, on so many sections at most; a shape is taken if
 #: what it misses is less than this share of what a simpler one does.
 CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 32, 0.85
@@ -61,9 +63,14 @@ _PASSES = 10
 
 
 def fit_groove(
-    cloud: Floats, T_field_cloud: Floats, valley: Valley, spacing_mm: float, known: Sequence[DetectedGroove] = ()
+    cloud: Floats,
+    T_field_cloud: Floats,
+    valley: Valley,
+    spacing_mm: float,
+    known: Sequence[DetectedGroove] = (),
+    bevel: bool = False,
 ) -> DetectedGroove | None:
-    """Fit edges and root along a valley; None where no V-groove fits it.
+    """Fit edges and root along a valley; None where no V-groove fits it, or with ``bevel`` one with an upright wall.
 
     It ends where it meets one of the ``known`` grooves: the arms of a crossing are grooves of their own, however narrow
     the groove between them.
@@ -91,7 +98,8 @@ def fit_groove(
             corners = _corners(sections, start, spread, width, noise)
         fit = fit_profiles(sections, start, spread, corners, noise)
         free = ~_taken(move_points(inverse(T_field_cloud), curve.stations), known)
-        inside = _stations_inside(fit, sections, width, depth, 1.0 if number > 1 else 2.5, free)
+        skew = WORST_SKEW_OF_BEVEL if bevel else WORST_SKEW
+        inside = _stations_inside(fit, sections, width, depth, (1.0 if number > 1 else 2.5, skew), free)
         if inside is None:
             return None
         first, last = inside
@@ -170,12 +178,14 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
 
 
 def _stations_inside(
-    fit: ProfileFit, sections: Sections, width: float, depth: float, looseness: float, free: Flags
+    fit: ProfileFit, sections: Sections, width: float, depth: float, limits: tuple[float, float], free: Flags
 ) -> tuple[int, int] | None:
     """Longest run of stations (first, behind last) that show the groove; short gaps and tack welds are bridged.
 
-    Stations that are not ``free`` (S,) end it. ``looseness`` widens the limits while the curve is not yet well placed.
+    Stations that are not ``free`` (S,) end it. ``limits`` are a looseness, which widens all limits while the curve is
+    not yet well placed, and how far off the middle the root may lie.
     """
+    looseness, worst_skew = limits
     theta = fit.parameters
     widths = theta[:, RIGHT] - theta[:, LEFT]
     between = (sections.across > theta[:, LEFT, None]) & (sections.across < theta[:, RIGHT, None])
@@ -190,7 +200,7 @@ def _stations_inside(
         np.abs(theta[:, TILT]) < looseness * WORST_TILT
     )
     place = (theta[:, ROOT] - theta[:, LEFT]) / widths
-    shapely = (np.abs(place - 0.5) < WORST_SKEW) & (
+    shapely = (np.abs(place - 0.5) < worst_skew) & (
         np.abs(np.log(widths / width)) < looseness * np.log(WORST_WIDTH_RATIO)
     )
     edged = seen & sure & near & shapely & free

@@ -54,7 +54,8 @@ class DetectedGroove:
     ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
     standard deviation of the root across the seam. ``edges_seen`` is the share of stations with surface on both sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
-    A ``closed`` groove is a ring: its last station is followed by its first.
+    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_share`` is how much of the width a
+    flat or rounded root takes.
     """
 
     members: Integers
@@ -69,6 +70,7 @@ class DetectedGroove:
     edges_seen: float
     ends_mm: float = 0.0
     closed: bool = False
+    floor_share: float = 0.0
 
     @property
     def length_mm(self) -> float:
@@ -149,7 +151,13 @@ def groove_lines(
         _both_sides_share(sections, smooth, first, last),
         ends_mm,
         closed,
+        _floor_share(fit.corners, width),
     )
+
+
+def _floor_share(corners: Corners, width: float) -> float:
+    """How much of a groove's width its flat or rounded root takes; 0 for a sharp one."""
+    return 2 * max(corners.floor_mm, corners.root_mm if corners.root_mm > 2 * SHARP * width else 0.0) / width
 
 
 def one_round(line: Floats, width: float) -> tuple[int, bool]:

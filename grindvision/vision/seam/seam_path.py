@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.joints import Seam
 
 Floats = NDArray[np.float64]
 
@@ -41,8 +42,8 @@ class SeamPath:
         return f"{shape} path of {len(self)} way points, {self.length_mm:.0f} mm long"
 
 
-def root_path(groove: DetectedGroove, waypoints: int = 50) -> SeamPath:
-    """Way points at equal distances along the line where the groove's walls meet, from one end to the other.
+def root_path(groove: DetectedGroove | Seam, waypoints: int = 50) -> SeamPath:
+    """Way points at equal distances along the root of a groove or another seam, from one end to the other.
 
     Raises:
         InputError: fewer than two way points.

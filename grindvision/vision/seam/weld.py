@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.parallel import one_blas_thread
 from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
-from grindvision.vision.seam.groove import find_grooves
 from grindvision.vision.seam.groove_diagnostics import doubts_about
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_path import SeamPath, root_path, slab_path
+from grindvision.vision.seam.seams import SeamDetection, find_seams
 
 Flags = NDArray[np.bool_]
 VARIANTS = ("ours", "paper")
@@ -23,11 +24,12 @@ VARIANTS = ("ours", "paper")
 
 @dataclass(frozen=True)
 class Weld:
-    """What was found in a cloud: ``labels`` in its shape, ``paths`` one per groove, as in ``find_grooves``.
+    """What was found in a cloud: ``labels`` in its shape, ``paths`` one per seam, as in ``find_seams``.
 
-    ``grooves`` belong to the paths one by one; the paper's variant measures none and has one path. ``timings_s`` holds
-    seconds per stage, ``spacing_mm`` the distance of neighbouring points as ours found it. ``left_out`` are
-    grooves that were found too, but are too small against the first to count.
+    ``seams`` belong to the paths one by one, and ``grooves`` are those of them that are grooves; the paper's variant
+    measures none and has one path. ``timings_s`` holds seconds per stage, ``spacing_mm`` the distance of neighbouring
+    points as ours found it. ``left_out`` are grooves that were found too, but are too small against the first to count;
+    ``weaker`` are seams of less certain kinds.
     """
 
     variant: str
@@ -37,15 +39,22 @@ class Weld:
     timings_s: dict[str, float]
     spacing_mm: float | None = None
     left_out: tuple[DetectedGroove, ...] = ()
+    seams: tuple[Seam, ...] = ()
+    weaker: tuple[Seam, ...] = ()
 
     @property
     def path(self) -> SeamPath:
-        """The path of the first groove."""
+        """The path of the first seam."""
         return self.paths[0]
 
     def __str__(self) -> str:
+        if self.seams and not self.grooves:
+            more = "".join(f"; also: {seam}" for seam in self.seams[1:])
+            return f"{self.seams[0]}; {self.path}{more}"
         what = self.grooves[0] if self.grooves else f"groove of {int(self.labels.sum()):,} points"
-        return f"{what}; {self.path}{_also('also', self.grooves[1:])}{_also('left out as too small', self.left_out)}"
+        others = "".join(f"; also: {seam}" for seam in self.seams if seam.groove is None)
+        also, left_out = _also("also", self.grooves[1:]), _also("left out as too small", self.left_out)
+        return f"{what}; {self.path}{also}{left_out}{others}"
 
 
 @one_blas_thread()
@@ -56,24 +65,26 @@ def trace_weld(
     viewpoint_mm: ArrayLike | None = None,
     settings: GfhSettings | None = None,
     width_mm: float | None = None,
+    joint: str = "any",
 ) -> Weld:
-    """Find the groove of a cloud (N, 3) or (R, C, 3) in mm and put way points along it.
+    """Find the weld seams of a cloud (N, 3) or (R, C, 3) in mm and put way points along them.
 
     Args:
-        points: rows with NaN belong to no groove.
+        points: rows with NaN belong to no seam.
         waypoints: number of way points; of slabs in the paper's variant.
         variant: ``ours`` or ``paper``.
         viewpoint_mm: the camera (3,), where it is not the origin.
         settings: of the paper's variant.
         width_mm: rough width of the groove, of our variant; estimated when left out.
+        joint: of our variant: a kind of seam or a family of kinds (see ``joints``).
 
     Raises:
         InputError: unknown variant, too few way points, an unusable cloud. UnitError: its size is no part's in mm.
-        NoGrooveError: there is no groove.
+        NoGrooveError: there is no seam, or none of the kind.
 
     Warns:
         GrindvisionWarning: a groove is doubtful (partly outside the cloud, walls unseen, few points); larger hollows in
-            the scene are no grooves.
+            the scene are no grooves; nothing tells from which side the scan was taken; a seam is interrupted.
     """
     if variant not in VARIANTS:
         raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
@@ -82,6 +93,8 @@ def trace_weld(
     grooves: tuple[DetectedGroove, ...] = ()
     left_out: tuple[DetectedGroove, ...] = ()
     spacing: float | None = None
+    seams: tuple[Seam, ...] = ()
+    weaker: tuple[Seam, ...] = ()
     paths: tuple[SeamPath, ...]
     begin = time.perf_counter()
     if variant == "paper":
@@ -91,23 +104,42 @@ def trace_weld(
         paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
         labels = detection.labels
     else:
-        detected = find_grooves(points, viewpoint_mm, width_mm)
+        detected = find_seams(points, viewpoint_mm, joint, width_mm)
         found = time.perf_counter()
-        labels, grooves, left_out = detected.labels, detected.grooves, detected.left_out
-        spacing = detected.spacing_mm
-        paths = tuple(root_path(groove, waypoints) for groove in grooves)
-        if detected.cluttered:
-            warnings.warn(
-                "the largest hollows of the scene are gaps between things, no grooves: see in the picture that the path"
-                " lies in the groove, else crop the cloud to the part",
-                GrindvisionWarning,
-                stacklevel=2,
-            )
-        for number, groove in enumerate(grooves, start=1):
-            for doubt in doubts_about(groove, points, detected.spacing_mm):
-                warnings.warn(f"groove {number} {doubt}", GrindvisionWarning, stacklevel=2)
+        seams, weaker, spacing = detected.seams, detected.weaker, detected.spacing_mm
+        labels, grooves = detected.labels, tuple(seam.groove for seam in seams if seam.groove is not None)
+        left_out = detected.grooves.left_out if grooves and detected.grooves is not None else ()
+        paths = tuple(root_path(seam.groove or seam, waypoints) for seam in seams)
+        for doubt in _doubts(detected, points):
+            warnings.warn(doubt, GrindvisionWarning, stacklevel=2)
     end = time.perf_counter()
-    return Weld(variant, labels, paths, grooves, {"detect": found - begin, "path": end - found}, spacing, left_out)
+    timings = {"detect": found - begin, "path": end - found}
+    return Weld(variant, labels, paths, grooves, timings, spacing, left_out, seams, weaker)
+
+
+def _doubts(detected: SeamDetection, points: ArrayLike) -> list[str]:
+    """What makes the seams doubtful, a sentence each."""
+    doubts = []
+    grooves = [seam.groove for seam in detected.seams if seam.groove is not None]
+    if grooves and detected.grooves is not None and detected.grooves.cluttered:
+        doubts.append(
+            "the largest hollows of the scene are gaps between things, no grooves: see in the picture that the path"
+            " lies in the groove, else crop the cloud to the part"
+        )
+    for number, groove in enumerate(grooves, start=1):
+        doubts += [f"groove {number} {doubt}" for doubt in doubts_about(groove, points, detected.spacing_mm)]
+    for number, seam in enumerate(detected.seams, start=1):
+        if seam.interruptions:
+            where = ", ".join(map(str, seam.interruptions))
+            doubts.append(f"seam {number} ({seam.kind}) is not seen at {where} of its length: the path bridges it")
+    if detected.view_assumed:
+        doubts.append(
+            "nothing tells from which side the scan was taken; the side that looks up was taken: give the viewpoint, or"
+            " a corner may be taken inside out"
+        )
+    if detected.weaker:
+        doubts.append(f"less certain, and not followed: {'; '.join(map(str, detected.weaker))}; ask for them by kind")
+    return doubts
 
 
 def _also(words: str, grooves: tuple[DetectedGroove, ...]) -> str:

@@ -1,0 +1,136 @@
+"""What the faces of a joint are: plane, cylinder or free form; and whether a face goes on behind the other one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from grindvision.geometry import vector_angle
+from grindvision.vision.seam.joint_fit import JointFit
+from grindvision.vision.surface.surfels import Surfels
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+PLANE, CYLINDER, FREE_FORM = "plane", "cylinder", "free form"
+
+#: Surfels up to so many cells from the seam show the shape of a face.
+REACH_CELLS = 8.0
+#: A face is a plane while its surfels keep within so many times the noise, or this share of their extent, of one.
+PLANE_NOISE, PLANE_SHARE = 1.0, 0.02
+#: A cylinder leaves at most this share of what a plane leaves.
+CYLINDER_SHARE = 0.35
+#: Surfels that lie in the extension of a face, or on a parallel surface, have normals within this of the face's.
+PARALLEL_RAD = np.radians(12.0)
+#: A face that ends within this behind the other one is a corner's, if so much of that stretch is seen to be empty.
+BEHIND_MM, MIN_EMPTY = 40.0, 0.3
+#: So many surfels are a surface.
+MIN_SURFELS = 8
+
+
+@dataclass(frozen=True)
+class FaceShape:
+    """Shape of a face: ``name`` is plane, cylinder or free form; a cylinder has ``radius_mm`` and ``axis`` (3,)."""
+
+    name: str
+    radius_mm: float = np.inf
+    axis: tuple[float, float, float] | None = None
+
+    def __str__(self) -> str:
+        return f"cylinder of radius {self.radius_mm:.3g} mm" if self.name == CYLINDER else self.name
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is around a concave joint: does face k go on behind the other (2,), is there a surface parallel to it at the
+    height of the other's leg (2,), which makes the other a plate's edge; is nothing there where it would go on (2,)."""
+
+    goes_on: tuple[bool, bool]
+    parallel_above: tuple[bool, bool]
+    ends_there: tuple[bool, bool]
+
+
+def face_shapes(fit: JointFit, surfels: Surfels, normals: Floats) -> tuple[FaceShape, FaceShape]:
+    """Shapes of the two faces, from the surfels (M) with normals (M, 3) that lie on them near the seam."""
+    size = surfels.grid.size_mm
+    station, offset, near = _near(fit, surfels, REACH_CELLS * size)
+    shapes = []
+    for side in range(2):
+        outward = (offset * fit.faces.outward[side, station]).sum(axis=1)
+        other = (offset * fit.faces.outward[1 - side, station]).sum(axis=1)
+        height = (offset * fit.faces.normal[side, station]).sum(axis=1)
+        facing = vector_angle(normals[near], fit.faces.normal[side, station])
+        on = (outward > max(other.min(initial=0.0), 1.5 * size)) & (outward > other)
+        on &= (np.abs(height) < 0.5 * outward) & (facing < np.radians(50))
+        shapes.append(_shape(surfels.points[near[on]], normals[near[on]], float(np.median(surfels.noise_mm))))
+    return shapes[0], shapes[1]
+
+
+def surroundings(fit: JointFit, surfels: Surfels, normals: Floats, towards: Floats | None) -> Surroundings:
+    """What lies behind the two faces of a concave joint of planes, seen from ``towards`` (3,) where that is known."""
+    size = surfels.grid.size_mm
+    station, offset, near = _near(fit, surfels, np.inf)
+    goes_on, parallel = [], []
+    noise = 3 * float(np.median(surfels.noise_mm))
+    for side in range(2):
+        outward = (offset * fit.faces.outward[side, station]).sum(axis=1)
+        height = (offset * fit.faces.normal[side, station]).sum(axis=1)
+        behind = (offset * fit.faces.normal[1 - side, station]).sum(axis=1) < -1.5 * size
+        like = vector_angle(normals[near], fit.faces.normal[side, station]) < PARALLEL_RAD
+        tolerance = noise + 0.02 * np.abs(outward) + 0.05 * size
+        goes_on.append(bool((behind & like & (np.abs(height) < tolerance)).sum() >= MIN_SURFELS))
+        leg = fit.legs_mm[1 - side, station]
+        above = behind & like & (np.abs(height - leg) < tolerance + 0.25 * leg + 0.5 * size)
+        wide = outward[above].size >= MIN_SURFELS and np.percentile(-outward[above], 90) > 2.5 * np.median(leg)
+        parallel.append(bool(wide))
+    ends = [towards is not None and _ends_there(fit, surfels, side, towards) for side in range(2)]
+    return Surroundings((goes_on[0], goes_on[1]), (parallel[0], parallel[1]), (ends[0], ends[1]))
+
+
+def _ends_there(fit: JointFit, surfels: Surfels, side: int, towards: Floats) -> bool:
+    """Whether a face ends behind the other one: where it would go on, the scanner looks past both and sees nothing, or
+    something farther away."""
+    size = surfels.grid.size_mm
+    behind = np.arange(2 * size, BEHIND_MM, size / 2)
+    shown = np.flatnonzero(fit.shown)
+    middle = shown[len(shown) // 4 : max(3 * len(shown) // 4, 1) : max(len(shown) // 20, 1)]
+    places = fit.root[middle, None] - behind[None, :, None] * fit.faces.outward[side, middle, None]
+    places = places.reshape(-1, 3)
+    rays, seen = places - towards, surfels.points - towards
+    depth, seen_depth = np.linalg.norm(rays, axis=1), np.linalg.norm(seen, axis=1)
+    away, nearest = cKDTree(seen / seen_depth[:, None]).query(rays / depth[:, None])
+    empty = (away * depth > 1.5 * size) | (seen_depth[nearest] > depth + 3 * size)
+    return bool(empty.mean() > MIN_EMPTY)
+
+
+def _near(fit: JointFit, surfels: Surfels, reach: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
+    """Nearest station and offset of the surfels beside the seam, and their numbers."""
+    away, station = cKDTree(fit.root).query(surfels.points)
+    offset = surfels.points - fit.root[station]
+    ahead = np.abs((offset * fit.curve.along[station]).sum(axis=1))
+    near = np.flatnonzero((away < reach) & (ahead < surfels.grid.size_mm))
+    return station[near], offset[near], near
+
+
+def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
+    if len(points) < MIN_SURFELS:
+        return FaceShape(FREE_FORM)
+    centred = points - points.mean(axis=0)
+    values = np.linalg.svd(centred, compute_uv=False)
+    flat = float(values[2] / np.sqrt(len(points)))
+    extent = float(values[0] / np.sqrt(len(points)))
+    if flat < max(PLANE_NOISE * noise, PLANE_SHARE * extent):
+        return FaceShape(PLANE)
+    axis = np.linalg.eigh(normals.T @ normals)[1][:, 0]
+    first = np.linalg.svd(axis[None])[2][1:]
+    u, v = (centred @ one for one in first)
+    # Circle through the projected points: u^2 + v^2 = 2 a u + 2 b v + c.
+    solution = np.linalg.lstsq(np.column_stack([2 * u, 2 * v, np.ones(len(u))]), u * u + v * v, rcond=None)[0]
+    radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0.0)))
+    off = np.hypot(u - solution[0], v - solution[1]) - radius
+    if float(np.sqrt((off**2).mean())) < max(CYLINDER_SHARE * flat, noise):
+        return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])))
+    return FaceShape(FREE_FORM)

@@ -1,0 +1,241 @@
+"""From fits to named seams: what each kind must show, and the evidence in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.geometry import vector_angle
+from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face_shapes, surroundings
+from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.joint_fit import JointFit, Scale
+from grindvision.vision.seam.joints import (
+    BEVEL,
+    BUTT,
+    INSIDE,
+    LAP,
+    OUTSIDE,
+    SADDLE,
+    T_JOINT,
+    TUBE_ON_PLATE,
+    U_GROOVE,
+    V_GROOVE,
+    Interruption,
+    Seam,
+)
+from grindvision.vision.seam.step_fit import EdgeFit
+from grindvision.vision.surface.surfels import Surfels
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: A corner turns by at least this angle, and by so many standard deviations of it; an outside corner by more.
+MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
+#: Where less than this share of the turn is there close to the root, a bend is ruled out by such a turn only.
+MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
+#: The root is known within this share of a cell, and the faces scatter by at most this share of it more than the scan.
+MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.2, 0.08
+#: Faces are seen for so many cells at least; an outside corner, which every edge of a body is, for so many.
+MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
+#: A wall up to this height may be the edge of a plate that lies on another.
+MAX_PLATE_MM = 25.0
+#: A step stands out by so many deviations; two levels closer than this share of the gap are the two sides of a butt.
+MIN_STEP_DEVIATIONS = 8.0
+#: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
+MAX_HI_LO_MM, MAX_BUTT_TURN_RAD = 4.0, np.radians(10.0)
+#: A gap shows something below it at this share of its stations, or is wider than so many spacings.
+MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 3.0
+#: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
+U_FLOOR, BEVEL_SKEW = 0.3, 0.22
+
+
+def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
+    """Whether a fitted corner is one: turned enough for its noise, long enough, with faces on both sides.
+
+    With ``coarse`` cells a bend of the surface looks like a corner: then it has to turn by more.
+    """
+    shown = fit.shown
+    turn, sigma = np.median(fit.turn_rad[shown]), np.median(fit.turn_sigma_rad[shown])
+    strongest = np.percentile(fit.turn_rad[shown], 80)
+    least = MIN_TURN_RAD if concave else MIN_OUTSIDE_RAD
+    if coarse or fit.sharpness < MIN_SHARPNESS:
+        least = max(least, MIN_ROUNDED_RAD)
+    if strongest < least or turn < MIN_TURN_DEVIATIONS * sigma:
+        return False
+    if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
+        return False
+    if fit.noise_mm.max() > 2.5 * scale.noise + MAX_SCATTER_CELLS * scale.cell:
+        return False
+    legs = np.median(fit.legs_mm[:, shown], axis=1)
+    least_leg = MIN_LEG_CELLS * scale.cell
+    if not concave:
+        least_leg = max(MIN_OUTSIDE_CELLS * scale.cell, MIN_OUTSIDE_MM)
+    return bool(legs.min() > least_leg)
+
+
+def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool, towards: Floats | None) -> Seam:
+    """The corner as a named seam; the scanner stands at ``towards`` (3,), if that is known."""
+    shapes = face_shapes(fit, surfels, normals)
+    turn = np.degrees(fit.turn_rad)
+    opening = 180 - turn if concave else 180 + turn
+    sigma = float(np.degrees(np.median(fit.turn_sigma_rad[fit.shown])))
+    angle = f"{np.median(opening):.1f} +- {max(sigma, 0.05):.1g} deg"
+    step = np.zeros(len(fit.root))
+    if not concave:
+        kind, evidence = OUTSIDE, f"{_two(shapes)} part in a convex edge, {angle} of air; both reach farther than a rim"
+    else:
+        kind, evidence = _concave_kind(fit, shapes, (surfels, normals, towards), angle)
+        if kind == LAP:
+            step = fit.legs_mm.min(axis=0)
+    return Seam(
+        kind,
+        evidence,
+        fit.root,
+        fit.sigma_mm,
+        fit.normals,
+        fit.faces.normal,
+        opening,
+        sigma,
+        fit.legs_mm,
+        np.stack([fit.root, fit.root]),
+        np.zeros(len(fit.root)),
+        0.0,
+        step,
+        float(fit.noise_mm.max()) if kind == LAP else 0.0,
+        fit.members,
+        _interruptions(fit.shown, fit.curve.step_mm),
+        fit.closed,
+    )
+
+
+def _concave_kind(
+    fit: JointFit, shapes: tuple[FaceShape, FaceShape], scene: tuple[Surfels, Floats, Floats | None], angle: str
+) -> tuple[str, str]:
+    words = f"{_two(shapes)} meet in a concave corner of {angle}"
+    names = sorted(shape.name for shape in shapes)
+    straight = _straight(fit)
+    if names == [CYLINDER, CYLINDER]:
+        return SADDLE, words
+    if names == [CYLINDER, PLANE] and not straight:
+        return TUBE_ON_PLATE, words
+    if fit.closed and CYLINDER in names:
+        return TUBE_ON_PLATE, f"{words}, all round"
+    around = surroundings(fit, *scene)
+    legs = np.median(fit.legs_mm[:, fit.shown], axis=1)
+    for side in range(2):
+        if around.parallel_above[side] and legs[1 - side] < MAX_PLATE_MM:
+            return LAP, f"{words}; the wall of {legs[1 - side]:.1f} mm ends in a surface parallel to the other face"
+    if any(around.goes_on):
+        return T_JOINT, f"{words}; one of them goes on behind the other"
+    if any(around.ends_there):
+        return INSIDE, f"{words}; behind it nothing of either is seen"
+    return T_JOINT, f"{words}; what is behind it is hidden, so that an inside corner is not ruled out"
+
+
+def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
+    """The step or gap as a named seam; None where it does not stand out."""
+    shown = fit.shown
+    step, width = float(np.median(fit.step_mm[shown])), float(np.median(fit.gap_mm[shown]))
+    turn = float(np.median(vector_angle(fit.normals[0], fit.normals[1])[shown]))
+    if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_TURN_RAD:
+        return None
+    if fit.noise_mm > 2.5 * scale.noise + 0.08 * scale.cell:
+        return None
+    level = fit.noise_mm / np.sqrt(max(len(fit.members) / max(len(fit.root), 1), 1.0))
+    if gap:
+        seen = float((fit.between > 0)[shown].mean())
+        wide = width > WIDE_GAP_SPACINGS * scale.spacing
+        if abs(step) > MAX_HI_LO_MM or not (seen > MIN_GAP_SEEN or wide) or width < scale.spacing:
+            return None
+        kind = BUTT
+        evidence = (
+            f"two surfaces of one level end along parallel lines, {width:.2f} +- {fit.gap_sigma_mm:.2g} mm apart; "
+            + (f"something lies below at {seen:.0%} of it" if seen > MIN_GAP_SEEN else "nothing is seen between")
+        )
+        normals = _unit(fit.normals.sum(axis=0))
+    else:
+        if step < MIN_STEP_DEVIATIONS * level or step < max(1.2 * scale.spacing, 4 * fit.noise_mm):
+            return None
+        kind = LAP
+        evidence = f"one surface ends {step:.2f} +- {level:.2g} mm above another that is parallel to it"
+        normals = _unit(fit.normals[1] + fit.way)
+    return Seam(
+        kind,
+        evidence,
+        fit.root,
+        fit.sigma_mm,
+        normals,
+        fit.normals,
+        np.full(len(fit.root), 180.0 if gap else 90.0),
+        0.0,
+        np.stack([np.abs(fit.step_mm), np.full(len(fit.root), scale.far)]),
+        fit.edges,
+        fit.gap_mm if gap else np.zeros(len(fit.root)),
+        fit.gap_sigma_mm if gap else 0.0,
+        np.abs(fit.step_mm),
+        float(level),
+        fit.members,
+        _interruptions(shown, fit.curve.step_mm),
+    )
+
+
+def groove_seam(groove: DetectedGroove) -> Seam:
+    """A groove as a seam: its edges are the toes, its walls the faces."""
+    along = np.gradient(groove.root, axis=0)
+    along = _unit(along - (along * groove.normals).sum(axis=1)[:, None] * groove.normals)
+    walls, halves = [], []
+    for edge in (groove.left, groove.right):
+        way = edge - groove.root
+        way = way - (way * along).sum(axis=1)[:, None] * along
+        out = _unit(np.cross(way, along))
+        walls.append(out * np.where((out * groove.normals).sum(axis=1) < 0, -1.0, 1.0)[:, None])
+        halves.append(np.degrees(vector_angle(way, groove.normals)))
+    opening = halves[0] + halves[1]
+    across = _unit(np.cross(groove.normals, along))
+    span = np.abs(((groove.right - groove.left) * across).sum(axis=1))
+    place = np.abs(((groove.root - groove.left) * across).sum(axis=1)) / np.maximum(span, 1e-9)
+    skew = float(np.median(place))
+    floor = groove.floor_share
+    if min(skew, 1 - skew) < BEVEL_SKEW:
+        kind, why = BEVEL, f"one wall is upright: the root lies {min(skew, 1 - skew):.0%} of the width from its edge"
+    elif floor > U_FLOOR:
+        kind, why = U_GROOVE, f"its floor or rounding takes {floor:.0%} of the width"
+    else:
+        kind, why = V_GROOVE, f"two walls {np.median(opening):.0f} deg apart"
+    evidence = f"a valley between two parts of one surface; {why}"
+    legs = np.stack([np.linalg.norm(edge - groove.root, axis=1) for edge in (groove.left, groove.right)])
+    zero = np.zeros(len(groove.root))
+    return Seam(
+        kind, evidence, groove.root, groove.root_deviation_mm, groove.normals, np.stack(walls), opening,
+        float(np.degrees(np.median(groove.root_deviation_mm / np.maximum(legs.min(axis=0), 1e-9)))), legs,
+        np.stack([groove.left, groove.right]), zero, 0.0, zero, 0.0, groove.members, (), groove.closed, groove,
+    )  # fmt: skip
+
+
+def _straight(fit: JointFit) -> bool:
+    """Whether the root line bends by less than a hundredth of its length."""
+    chord = fit.root[-1] - fit.root[0]
+    length = float(np.linalg.norm(chord))
+    if fit.closed or length < 1e-6:
+        return False
+    away = fit.root - fit.root[0]
+    off = np.linalg.norm(away - np.outer(away @ chord / length**2, chord), axis=1)
+    return bool(np.percentile(off, 90) < 0.02 * length)
+
+
+def _two(shapes: tuple[FaceShape, FaceShape]) -> str:
+    first, second = (str(shape) for shape in shapes)
+    return f"two {first}s" if first == second and first == PLANE else f"{first} and {second}"
+
+
+def _interruptions(shown: Flags, step: float) -> tuple[Interruption, ...]:
+    """Stretches (at least two stations) in which a seam is not seen."""
+    hidden = np.flatnonzero(~shown)
+    if len(hidden) == 0:
+        return ()
+    runs = np.split(hidden, np.flatnonzero(np.diff(hidden) > 1) + 1)
+    return tuple(Interruption(float(run[0] * step), float((run[-1] + 1) * step)) for run in runs if len(run) > 1)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

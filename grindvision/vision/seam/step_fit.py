@@ -1,0 +1,276 @@
+"""Seams where one surface ends over or beside another: the step of a lap joint and the gap of a butt joint.
+
+Both surfaces are fitted along the seam as faces that lead away from it; what is looked for is not where they meet but
+where each of them ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from grindvision.vision.seam.joint_fit import Scale, closed_runs, nearest_stations
+from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended
+from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+#: Points of a wall lie between these shares of the step's height.
+WALL_HEIGHTS = 0.2, 0.8
+#: With so many points on the wall per station its place is taken from them, otherwise from where the surfaces end.
+MIN_WALL_POINTS = 0.5
+#: Passes of fitting and prolonging: at least, and while the seam still grows.
+MIN_PASSES, MAX_PASSES = 3, 12
+#: Rounds of the robust lines, and when a residual no longer counts.
+ROUNDS, TUKEY = 4, 4.0
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """Two surfaces beside a seam at S stations of ``curve``; its ``up`` is the lower surface's normal.
+
+    ``root`` (S, 3) mm: on the lower surface under the upper one's edge, or half-way across a gap; ``sigma_mm`` (S,)
+    across the seam. ``edges`` (2, S, 3) are where the two surfaces end (the upper one first), ``step_mm`` (S,) the
+    first one's height above the second at the seam, ``gap_mm`` (S,) the distance between the edges,
+    ``gap_sigma_mm`` its standard deviation. ``normals`` (2, S, 3) are the surfaces', ``shown`` (S,) where both are
+    seen, ``noise_mm`` their scatter, ``members`` (K,) the points beside the seam, ``between`` (S,) the number of points
+    inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to the lower one.
+    """
+
+    curve: SeamCurve
+    root: Floats
+    sigma_mm: Floats
+    edges: Floats
+    step_mm: Floats
+    gap_mm: Floats
+    gap_sigma_mm: float
+    normals: Floats
+    shown: Flags
+    noise_mm: float
+    members: Integers
+    between: Floats
+    way: Floats
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the root line."""
+        return float(np.linalg.norm(np.diff(self.root, axis=0), axis=1).sum())
+
+
+def fit_step(
+    points: Floats, path: Floats, way: Floats, up: Floats, height_mm: float | None, scale: Scale
+) -> EdgeFit | None:
+    """Fit a step, or a gap, along a rough path; None where no surface ends over another along most of it.
+
+    Args:
+        points: cloud (N, 3), mm.
+        path: rough seam (M, 3) on the lower surface.
+        way: (M, 3) from the upper surface to the lower one.
+        up: (M, 3) the surfaces' normals.
+        height_mm: rough height of the step; None for a gap between two surfaces of one level.
+        scale: lengths of the scan.
+    """
+    step = max(1.5 * scale.spacing, scale.cell / 2)
+    curve = _straightened(path, up, step, 2 * scale.cell)
+    side = 1.0 if np.mean((curve.across * way[_nearest(path, curve.stations)]).sum(axis=1)) > 0 else -1.0
+    length, growing = 0.0, True
+    for number in range(MAX_PASSES):
+        if 0 < number < MAX_PASSES - 1 and growing:
+            curve = extended(curve, 3 * scale.cell, 3 * scale.cell, base_mm=12 * scale.cell)
+        found = _edges(points, curve, side, height_mm, scale)
+        if found is None:
+            return None
+        run = np.flatnonzero(found.shown)
+        if len(run) < 4:
+            return None
+        first, last = int(run[0]), int(run[-1]) + 1
+        if found.shown[first:last].mean() < 0.5 or (height_mm is not None and not height_mm > scale.spacing / 2):
+            return None
+        height_mm = None if height_mm is None else float(np.median(found.step_mm[found.shown]))
+        grown = (last - first) * curve.step_mm - length
+        length += grown
+        if number == MAX_PASSES - 1 or (number >= MIN_PASSES and not growing):
+            return _part(found, slice(first, last), height_mm is None)
+        growing = abs(grown) > scale.cell / 2
+        lateral = smooth_along(found.across, found.weight, 2 * scale.cell, curve.step_mm, robust=True)
+        level = smooth_along(found.level, found.weight, 2 * scale.cell, curve.step_mm, robust=True)
+        tilt = smooth_along(found.tilt, found.weight, 4 * scale.cell, curve.step_mm, robust=True)
+        stations = curve.stations + lateral[:, None] * curve.across + level[:, None] * curve.up
+        turned = curve.up - tilt[:, None] * curve.across
+        curve = build_curve(stations[first:last], turned[first:last], curve.step_mm)
+    return None
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """What ``_edges`` found at S stations, in the curve's coordinates; see ``EdgeFit``."""
+
+    curve: SeamCurve
+    across: Floats
+    level: Floats
+    tilt: Floats
+    weight: Floats
+    shown: Flags
+    step_mm: Floats
+    ends: Floats
+    heights: Floats
+    tilts: Floats
+    sigma: float
+    gap_sigma: float
+    noise: float
+    members: Integers
+    between: Integers
+    side: float
+
+
+def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | None, scale: Scale) -> _Edges | None:
+    index, station, offset = nearest_stations(points, curve, scale.far)
+    if len(index) < 20:
+        return None
+    u = side * (offset * curve.across[station]).sum(axis=1)
+    v = (offset * curve.up[station]).sum(axis=1)
+    count, window = len(curve), 1.5 * scale.cell / curve.step_mm
+    near = 0.5 * scale.cell if height_mm is None else scale.near
+    height = height_mm or 0.0
+    lines, noises, good = [], [], []
+    for sign, level in ((-1.0, height), (1.0, 0.0)):
+        mine = (sign * u > near) & (np.abs(v - level) < 0.25 * np.abs(u) + 0.3 * max(height, scale.cell / 3))
+        if mine.sum() < 12:
+            return None
+        line, noise, on = _line(station[mine], u[mine], v[mine], count, window)
+        lines.append(line)
+        noises.append(noise)
+        good.append(np.bincount(station[mine][on], minlength=count))
+    noise = max(noises)
+    upper, lower = (line[station, 0] + line[station, 1] * u for line in lines)
+    gap_tolerance = 4 * noise + 0.02 * scale.cell
+    if height_mm is not None:
+        on_upper = v > upper - 0.2 * height
+        share = (v - lower) / np.maximum(upper - lower, 1e-6)
+        on_lower = share < WALL_HEIGHTS[0]
+        on_upper &= share > WALL_HEIGHTS[1]
+        between = (share > WALL_HEIGHTS[0]) & (share < WALL_HEIGHTS[1]) & (np.abs(u) < 1.2 * scale.cell)
+    else:
+        middle = u < 0
+        on_upper, on_lower = middle & (np.abs(v - upper) < gap_tolerance), ~middle & (np.abs(v - lower) < gap_tolerance)
+        between = (np.abs(u) < scale.cell) & (v < np.minimum(upper, lower) - gap_tolerance)
+    ends = np.full((2, count), np.nan)
+    for row, (on, sign) in enumerate(((on_upper, 1.0), (on_lower, -1.0))):
+        ends[row] = sign * _extreme(station[on], sign * u[on], count)
+    shown = np.isfinite(ends).all(axis=0)
+    for counts in good:
+        usual = np.median(counts[counts > 0])
+        shown &= counts > 0.15 * usual
+    shown = closed_runs(shown, 5)
+    if shown.sum() < 4:
+        return None
+    per_station = np.bincount(station[between], minlength=count)
+    ends, spread = _smooth_ends(ends, shown, curve.step_mm, window)
+    half = scale.spacing / 2
+    if height_mm is None:
+        across = ends.mean(axis=0)
+    elif per_station[shown].mean() > MIN_WALL_POINTS:
+        across, spread = _wall(station[between], u[between], per_station, count, window)
+    else:
+        hidden = ends[1] - ends[0] > 3 * scale.spacing
+        across = np.where(hidden, ends[0] + half, ends.mean(axis=0))
+        spread = max(spread, scale.spacing / np.sqrt(12))
+    heights = np.stack([line[:, 0] + line[:, 1] * across for line in lines])
+    samples = 2.5 * window
+    beside = (np.abs(u) < scale.far / 2) & (on_upper | on_lower | between)
+    return _Edges(
+        curve, side * across, heights[1], side * lines[1][:, 1], np.where(shown, 1.0, 0.0), shown,
+        heights[0] - heights[1], side * (ends + [[half], [-half]]), heights,
+        side * np.stack([one[:, 1] for one in lines]),
+        spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side,
+    )  # fmt: skip
+
+
+def _line(at: Integers, u: Floats, v: Floats, count: int, window: float) -> tuple[Floats, float, Flags]:
+    """Robust lines v = a + b u at every station: coefficients (S, 2), scatter, and the points that count."""
+    weights, noise = np.ones(len(u)), 0.0
+    line = np.zeros((count, 2))
+    for _ in range(ROUNDS):
+        sums = np.stack([np.bincount(at, weights * t, count) for t in (np.ones(len(u)), u, u * u, v, u * v)])
+        n, su, suu, sv, suv = gaussian_filter1d(sums, window, axis=1, mode="constant", truncate=3.0)
+        n = n + 1e-9
+        variance = np.maximum(suu - su * su / n, 1e-9 * n)
+        line[:, 1] = (suv - su * sv / n) / variance
+        line[:, 0] = (sv - line[:, 1] * su) / n
+        off = v - line[at, 0] - line[at, 1] * u
+        noise = float(MAD_TO_STD * np.median(np.abs(off)))
+        weights = np.maximum(1 - (off / max(TUKEY * noise, 1e-9)) ** 2, 0) ** 2
+    return line, noise, weights > 0
+
+
+def _extreme(at: Integers, u: Floats, count: int) -> Floats:
+    """Largest u (S,) at every station; NaN where there is no point."""
+    result = np.full(count, -np.inf)
+    np.maximum.at(result, at, u)
+    return np.where(np.isfinite(result), result, np.nan)
+
+
+def _smooth_ends(ends: Floats, shown: Flags, step: float, window: float) -> tuple[Floats, float]:
+    """The two surfaces' ends (2, S) smoothed along the seam, and the scatter of single stations."""
+    result, scatter = np.empty_like(ends), 0.0
+    for row in range(2):
+        values = np.where(np.isfinite(ends[row]), ends[row], 0.0)
+        weight = np.where(np.isfinite(ends[row]) & shown, 1.0, 0.0)
+        result[row] = smooth_along(values, weight, 2 * window * step, step, robust=True)
+        off = (ends[row] - result[row])[weight > 0]
+        scatter = max(scatter, float(MAD_TO_STD * np.median(np.abs(off))))
+    return result, scatter
+
+
+def _wall(at: Integers, u: Floats, per_station: Integers, count: int, window: float) -> tuple[Floats, float]:
+    """Place of the wall (S,) from the points on it, and their scatter."""
+    weights, place, scatter = np.ones(len(u)), np.zeros(count), 0.0
+    for _ in range(ROUNDS):
+        sums = np.stack([np.bincount(at, weights, count), np.bincount(at, weights * u, count)])
+        n, total = gaussian_filter1d(sums, window, axis=1, mode="constant", truncate=3.0)
+        place = total / np.maximum(n, 1e-9)
+        off = u - place[at]
+        scatter = float(MAD_TO_STD * np.median(np.abs(off)))
+        weights = np.maximum(1 - (off / max(TUKEY * scatter, 1e-3)) ** 2, 0) ** 2
+    return place, scatter / np.sqrt(max(float(per_station.mean()), 0.3))
+
+
+def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
+    curve = found.curve
+    part = SeamCurve(curve.stations[here], curve.step_mm, curve.along[here], curve.across[here], curve.up[here])
+    weight = found.weight[here]
+    across = smooth_to_noise(found.across[here], weight, curve.step_mm)[0]
+    level = smooth_to_noise(found.level[here], weight, curve.step_mm)[0]
+    mean_level = found.heights[:, here].mean(axis=0) if gap else level
+    root = part.stations + across[:, None] * part.across + mean_level[:, None] * part.up
+    edges = np.stack(
+        [
+            part.stations + found.ends[k, here, None] * part.across + found.heights[k, here, None] * part.up
+            for k in range(2)
+        ]
+    )
+    normals = part.up - found.tilts[:, here, None] * part.across
+    normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+    gap = np.abs(found.ends[1, here] - found.ends[0, here])
+    sigma = np.full(len(part), max(found.sigma, 1e-3))
+    return EdgeFit(
+        part, root, sigma, edges, found.step_mm[here], gap, found.gap_sigma, normals, found.shown[here], found.noise,
+        np.unique(found.members), found.between[here].astype(float), found.side * part.across,
+    )  # fmt: skip
+
+
+def _straightened(path: Floats, up: Floats, step: float, length_mm: float) -> SeamCurve:
+    curve = build_curve(path, up, step)
+    even = np.ones(len(curve))
+    line = smooth_along(curve.stations, even, length_mm, curve.step_mm)
+    return build_curve(line, smooth_along(curve.up, even, length_mm, curve.step_mm), step)
+
+
+def _nearest(path: Floats, stations: Floats) -> Integers:
+    away = np.linalg.norm(stations[:, None, :] - path[None], axis=2)
+    return np.asarray(away.argmin(axis=1), dtype=np.int64)
