@@ -15,7 +15,7 @@ from grindvision.cell.scan import Scan
 from grindvision.cell.scanners import DepthCamera, Scanner
 from grindvision.cell.views import view_from
 from grindvision.errors import InputError, SightError
-from grindvision.geometry import inverse, move_points, turn_vectors
+from grindvision.geometry import inverse, move_points, rotate_vectors
 
 Floats = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def joint_scene(
         points[drop] += scan.true_normals[drop] * rng.uniform(0.5, SPATTER_MM)
     return JointScene(
         piece, camera, scan, points, root,
-        turn_vectors(T_camera_piece, piece.tangents[seen]), turn_vectors(T_camera_piece, piece.normals[seen]),
+        rotate_vectors(T_camera_piece, piece.tangents[seen]), rotate_vectors(T_camera_piece, piece.normals[seen]),
     )  # fmt: skip
 
 

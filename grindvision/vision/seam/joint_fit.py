@@ -77,8 +77,8 @@ class JointFit:
     half-way between the faces' normals, which are ``faces.normal``; ``turn_rad`` (S,) the angle between these, with
     ``turn_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
-    seam, ``members`` (K,) the points on them, ``sharpness`` the share of the turn that is there close to the root already: 1 for
-    two faces, less for a surface that bends.
+    seam, ``members`` (K,) the points on them, ``sharpness`` the share of the turn that is there close to the root
+    already: 1 for two faces, less for a surface that bends.
     """
 
     curve: SeamCurve

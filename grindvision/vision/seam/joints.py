@@ -62,10 +62,10 @@ class Seam:
     ``kind`` is one of ``KINDS`` and ``evidence`` says in words why. ``root`` (S, 3) is the line to weld with
     ``sigma_mm`` (S,) across the seam; ``normals`` (S, 3) lead out of the joint, half-way between its faces: a torch
     without work angle comes in against them. ``faces`` (2, S, 3) are the two surfaces' normals, ``opening_deg`` (S,)
-    the angle of the air between them with ``opening_sigma_deg``; ``legs_mm`` (2, S) how far each face reaches as far as it
-    was followed. ``toes`` (2, S, 3) are where the joint ends on both sides: a groove's edges, a gap's edges, else the
-    root. ``gap_mm`` and ``step_mm`` (S,) are the gap and the misalignment (hi-lo, or the step of a lap) with their
-    standard deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it.
+    the angle of the air between them with ``opening_sigma_deg``; ``legs_mm`` (2, S) how far each face was followed.
+    ``toes`` (2, S, 3) are where the joint ends on both sides: a groove's edges, a gap's edges, else the root.
+    ``gap_mm`` and ``step_mm`` (S,) are the gap and the misalignment (hi-lo, or the step of a lap) with their standard
+    deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it.
     """
 
     kind: str

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from grindvision.geometry import vector_angle
 from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face_shapes, surroundings
+from grindvision.vision.seam.gap_lines import MAX_SPACINGS
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_fit import JointFit, Scale
 from grindvision.vision.seam.joints import (
@@ -145,7 +146,11 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
     if gap:
         seen = float((fit.between > 0)[shown].mean())
         wide = width > WIDE_GAP_SPACINGS * scale.spacing
-        if abs(step) > MAX_HI_LO_MM or not (seen > MIN_GAP_SEEN or wide) or width < scale.spacing:
+        if (
+            abs(step) > MAX_HI_LO_MM
+            or not (seen > MIN_GAP_SEEN or wide)
+            or not scale.spacing < width < MAX_SPACINGS * scale.spacing
+        ):
             return None
         kind = BUTT
         evidence = (

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from grindvision.errors import NoGrooveError
-from grindvision.geometry import inverse, turn_vectors
+from grindvision.geometry import inverse, rotate_vectors
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS, find_gaps
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
 from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES, LEAST_WALL_SHARE, wall_share
@@ -178,7 +178,7 @@ def _turned(surfels: Surfels, towards: Floats | None, T_field_cloud: Floats) -> 
     sample = slice(None, None, max(len(surfels) // 2000, 1))
     direction = seen_along(surfels.points[sample], normals[sample], 2.0 * surfels.grid.size_mm)
     if direction is None:
-        direction = turn_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
+        direction = rotate_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
     # The bulge of a corner tells the wrong side: without a viewpoint, scans look down or away from the frame's origin.
     up = direction[2] if abs(direction[2]) > 0.2 else -float(direction @ surfels.points.mean(axis=0))
     direction = direction if up >= 0 else -direction
@@ -287,7 +287,7 @@ def _steps(cloud: Floats, pairs: SurfacePairs, scale: Scale, known: list[Seam]) 
 def _gaps(cloud: Floats, T_field_cloud: Floats, scale: Scale) -> list[Seam]:
     """Butt gaps: narrow strips without surface between two surfaces of one level."""
     found: list[Seam] = []
-    up = turn_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
+    up = rotate_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
     for gap in find_gaps(cloud, T_field_cloud, scale.spacing, scale.noise, 8 * scale.cell):
         along = np.gradient(gap.path, axis=0)
         way = np.cross(np.broadcast_to(up, along.shape), along)
@@ -328,11 +328,15 @@ def _runs_along(path: Floats, seams: list[Seam], reach: float | None = None) -> 
 
 def _is_corner(groove: DetectedGroove, others: list[Seam]) -> bool:
     """Whether a doubtful groove is better explained by one of the other seams, which runs within it."""
-    width = float(np.median(groove.width_mm))
+    width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
         away = cKDTree(seam.root).query(groove.root)[0]
         meets = (away < width).mean() > 0.3
-        if meets and (groove.edges_seen < CORNER_RATHER or seam.kind == BUTT):
+        # The walls of a groove are no longer than it says; in a corner of two bodies the faces go on.
+        longer = seam.kind in FAMILIES["tube"] or np.median(seam.legs_mm, axis=1).max() > 1.3 * np.hypot(
+            width / 2, depth
+        )
+        if meets and ((groove.edges_seen < CORNER_RATHER and longer) or seam.kind == BUTT):
             return True
     return False
 

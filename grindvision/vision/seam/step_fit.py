@@ -179,9 +179,9 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
     else:
         hidden = ends[1] - ends[0] > 3 * scale.spacing
         across = np.where(hidden, ends[0] + half, ends.mean(axis=0))
-        spread = max(spread, scale.spacing / np.sqrt(12))
     heights = np.stack([line[:, 0] + line[:, 1] * across for line in lines])
     samples = 2.5 * window
+    spread = max(spread, scale.spacing / np.sqrt(12))
     beside = (np.abs(u) < scale.far / 2) & (on_upper | on_lower | between)
     return _Edges(
         curve, side * across, heights[1], side * lines[1][:, 1], np.where(shown, 1.0, 0.0), shown,
@@ -256,10 +256,10 @@ def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     )
     normals = part.up - found.tilts[:, here, None] * part.across
     normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-    gap = np.abs(found.ends[1, here] - found.ends[0, here])
+    width = np.abs(found.ends[1, here] - found.ends[0, here])
     sigma = np.full(len(part), max(found.sigma, 1e-3))
     return EdgeFit(
-        part, root, sigma, edges, found.step_mm[here], gap, found.gap_sigma, normals, found.shown[here], found.noise,
+        part, root, sigma, edges, found.step_mm[here], width, found.gap_sigma, normals, found.shown[here], found.noise,
         np.unique(found.members), found.between[here].astype(float), found.side * part.across,
     )  # fmt: skip
 

@@ -101,13 +101,14 @@ def find_pairs(surfels: Surfels, normals: Floats, usable: NDArray[np.bool_]) -> 
 
 
 @njit(cache=True, nogil=True)
-def _pairs(points, normals, weights, around, centres, size, usual):
+def _pairs(
+    points: Floats, normals: Floats, weights: Floats, around: Around, centres: Integers, size: float, usual: float
+) -> tuple[Integers, Floats]:
     """Kind (M,) of the pair around each point, 0 where there is none, and its values (M, 14)."""
     count = len(points)
     kind, values = np.zeros(count, np.int64), np.zeros((count, 14))
     group = np.empty(count, np.int64)
     centre, axis = np.zeros(3), np.zeros(3)
-    sums = np.zeros((2, 8))
     for q in range(len(centres)):
         i = centres[q]
         near = around.indices[around.starts[q] : around.starts[q + 1]]
@@ -116,7 +117,7 @@ def _pairs(points, normals, weights, around, centres, size, usual):
         spread = _main_axis(normals, weights, near, centre, axis)
         if spread > (np.sin(MIN_TURN_RAD / 2) * 0.7) ** 2:
             split = _split_by_normal(normals, weights, near, centre, axis, group)
-            if split and _crease(points, normals, weights, near, group, sums, i, size, values):
+            if split and _crease(points, normals, weights, near, group, i, size, values):
                 kind[i] = CONCAVE if values[i, 13] > 0 else CONVEX
                 values[i, 13] = 0.0
                 continue
@@ -127,7 +128,7 @@ def _pairs(points, normals, weights, around, centres, size, usual):
 
 
 @njit(cache=True, nogil=True)
-def _main_axis(normals, weights, near, centre, axis):
+def _main_axis(normals: Floats, weights: Floats, near: Integers, centre: Floats, axis: Floats) -> float:
     """Weighted mean of normals into ``centre`` (3,), direction of largest spread into ``axis``; returns the spread."""
     total = 0.0
     centre[:] = 0.0
@@ -165,7 +166,9 @@ def _main_axis(normals, weights, near, centre, axis):
 
 
 @njit(cache=True, nogil=True)
-def _split_by_normal(normals, weights, near, centre, axis, group):
+def _split_by_normal(
+    normals: Floats, weights: Floats, near: Integers, centre: Floats, axis: Floats, group: Integers
+) -> bool:
     """Put neighbours into two groups by their normals (2-means); False where a group is too small or they are blurred.
 
     ``group`` is written for the members of ``near``.
@@ -210,12 +213,21 @@ def _split_by_normal(normals, weights, near, centre, axis, group):
 
 
 @njit(cache=True, nogil=True)
-def _crease(points, normals, weights, near, group, sums, i, size, values):
+def _crease(
+    points: Floats,
+    normals: Floats,
+    weights: Floats,
+    near: Integers,
+    group: Integers,
+    i: int,
+    size: float,
+    values: Floats,
+) -> bool:
     """Whether the planes of the two groups meet in a line near point ``i``; its values go into row ``i``.
 
     Column 13 is 1 where the corner is concave and -1 where it is convex.
     """
-    sums[:] = 0.0
+    sums = np.zeros((2, 8))
     for j in near:
         row = sums[group[j]]
         row[0] += weights[j]
@@ -270,7 +282,9 @@ def _crease(points, normals, weights, near, group, sums, i, size, values):
 
 
 @njit(cache=True, nogil=True)
-def _step(points, weights, near, up, group, usual, values):
+def _step(
+    points: Floats, weights: Floats, near: Integers, up: Floats, group: Integers, usual: float, values: Floats
+) -> bool:
     """Whether the heights along ``up`` (3,) fall into two groups that lie side by side; the values go into a row."""
     low, high = np.inf, -np.inf
     for j in near:
@@ -329,5 +343,5 @@ def _step(points, weights, near, up, group, usual, values):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _dot(a, b):
+def _dot(a: Floats, b: Floats) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
