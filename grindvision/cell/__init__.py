@@ -14,6 +14,8 @@ from grindvision.cell.experiment4 import Experiment4Twin, PrintedPath, experimen
 from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene, scanned_pair
 from grindvision.cell.height_target import HEIGHT_MM, POSITIONS_MM, flat_plate, height_sighting, height_target
+from grindvision.cell.joint_pieces import JOINTS, JointPiece, JointSize, joint_piece
+from grindvision.cell.joint_scene import JointScene, joint_scene
 from grindvision.cell.rays import Target
 from grindvision.cell.scan import Scan, Sighting
 from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
@@ -26,6 +28,7 @@ from grindvision.cell.weld_scene import WeldScene, weld_scene
 
 __all__ = [
     "HEIGHT_MM",
+    "JOINTS",
     "KINDS",
     "POSITIONS_MM",
     "SOURCES",
@@ -38,6 +41,9 @@ __all__ = [
     "GrindingRobot",
     "GrindingScene",
     "Groove",
+    "JointPiece",
+    "JointScene",
+    "JointSize",
     "LaserTracker",
     "PrintedPath",
     "Scan",
@@ -59,6 +65,8 @@ __all__ = [
     "grinding_scene",
     "height_sighting",
     "height_target",
+    "joint_piece",
+    "joint_scene",
     "measure_sphere",
     "measured",
     "misaligned_tracker",

@@ -24,7 +24,7 @@ from grindvision.cli.scans import (
     where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
-from grindvision.vision.seam.joints import FAMILIES, KINDS
+from grindvision.vision.seam.joint_names import FAMILIES, KINDS
 
 if TYPE_CHECKING:
     import numpy as np

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, whole
 from grindvision.cli.report import Run, add_output_arguments
+from grindvision.errors import InputError
+from grindvision.vision.seam.joint_names import KINDS, V_GROOVE
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.cell import CalibrationExperiment, GrindingScene, WeldScene
+    from grindvision.cell import CalibrationExperiment, GrindingScene, JointScene, WeldScene
+
+#: Joints that can be simulated: all that the detector knows but the V-groove, which the four pieces have.
+JOINTS = tuple(kind for kind in KINDS if kind != V_GROOVE)
 
 EPILOG = """\
 results in DIR, all synthetic, mm:
   grinding     sample.ply, test.ply, pose.json, truth.json: two scans of a part, without and with the bead to be ground,
                and where the scanner stood for the second one in the robot's base frame
   welding      line/, curve/, box/, cylinder/, each with cloud.ply, labels.npy, pose.json, truth.json
+               with --joint: one folder for that joint, or for every joint, each with cloud.ply, truth.json
   calibration  measurements.csv, robot.csv (nominal), truth.json: spheres seen by arm-borne scanner and tracker
   and always   report.png (what was made), parameters.toml, report.json (versions, timings, seed; written last)
 
@@ -28,6 +35,7 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 examples:
   grindvision simulate grinding -o inputs --seed 1
   grindvision detect inputs/sample.ply inputs/test.ply -o result --scanner-pose inputs/pose.json
+  grindvision simulate welding -o joints --joint t-joint --camera fine
 """
 
 
@@ -39,12 +47,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same files (default: 0)"
     )
+    group.add_argument(
+        "--joint",
+        choices=("all", *JOINTS),
+        metavar="KIND",
+        help=f"welding: this joint, or all, instead of the four pieces with a groove: {', '.join(('all', *JOINTS))}",
+    )
+    group.add_argument(
+        "--camera", choices=("d415", "fine"), help="with --joint: a D415 or a scanner of 0.05 mm (default: d415)"
+    )
     add_output_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate and write; returns 0."""
     check_count("--seed", options.seed, 0, 10**18)
+    if options.joint is not None and options.subject != "welding":
+        raise InputError(f"--joint {options.joint} is for welding; {options.subject} has no joints")
+    if options.camera is not None and options.joint is None:
+        raise InputError(f"--camera {options.camera} is for a joint; give --joint as well")
 
     import numpy as np
 
@@ -57,13 +78,16 @@ def run(options: argparse.Namespace) -> int:
         "calibration": (_calibration_experiment, _write_calibration),
     }
     make, write = subjects[options.subject]
+    if options.joint is not None:
+        kinds = JOINTS if options.joint == "all" else (options.joint,)
+        make, write = partial(_joint_scenes, kinds, options.camera == "fine"), _write_joints
     with Run(options, (), ("numpy", "scipy", "matplotlib"), 4) as work:
         with work.stage("simulate"):
             made = make(np.random.default_rng(options.seed))
         with work.stage("write"):
             write(made, work.place, options.seed)
         with work.stage("picture"):
-            draw(made, options.subject, options.seed, work.place / "report.png")
+            draw(made, "joints" if options.joint else options.subject, options.seed, work.place / "report.png")
         message = "; ".join(str(one) for one in made.values()) if isinstance(made, dict) else str(made)
         work.report(message, {"seed": options.seed, "origin": "synthetic"}, {})
     return 0
@@ -79,6 +103,17 @@ def _weld_scenes(rng: np.random.Generator) -> dict[str, WeldScene]:
     from grindvision import cell
 
     return {kind: cell.weld_scene(kind, own) for kind, own in zip(cell.KINDS, rng.spawn(len(cell.KINDS)), strict=True)}
+
+
+def _joint_scenes(kinds: Sequence[str], fine: bool, rng: np.random.Generator) -> dict[str, JointScene]:
+    from grindvision import cell
+
+    camera = cell.StructuredLightScanner() if fine else None
+    distance_mm = 400.0 if fine else 450.0
+    scenes = {}
+    for kind, own in zip(kinds, rng.spawn(len(kinds)), strict=True):
+        scenes[kind] = cell.joint_scene(kind, own, camera=camera, distance_mm=distance_mm)
+    return scenes
 
 
 def _calibration_experiment(rng: np.random.Generator) -> CalibrationExperiment:
@@ -141,6 +176,28 @@ def _write_welding(scenes: dict[str, WeldScene], folder: Path, seed: int) -> Non
         with write_whole(folder / kind / "labels.npy") as temporary:
             np.save(temporary, scene.labels)
         write_json(folder / kind / "pose.json", {"T_base_scanner": T_base_piece(kind) @ scene.scan.T_world_scanner})
+        write_json(folder / kind / "truth.json", truth)
+
+
+def _write_joints(scenes: dict[str, JointScene], folder: Path, seed: int) -> None:
+    from dataclasses import asdict
+
+    from grindvision.clouds import write_ply
+    from grindvision.files import write_json
+
+    for kind, scene in scenes.items():
+        truth = {
+            "seed": seed,
+            "unit": "mm",
+            "frames": {"camera": "frame of cloud.ply: origin in the camera, z forward; all points and directions here"},
+            "kind": kind,
+            "size": asdict(scene.piece.size),
+            "root_camera_mm": scene.root_mm,
+            "tangents_camera": scene.tangents,
+            "normals_camera": scene.normals,
+            "T_piece_camera": scene.scan.T_world_scanner,
+        }
+        write_ply(folder / kind / "cloud.ply", scene.points)
         write_json(folder / kind / "truth.json", truth)
 
 

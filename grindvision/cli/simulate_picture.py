@@ -17,7 +17,7 @@ with extra("plot"):
     from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
-    from grindvision.cell import CalibrationExperiment, GrindingScene, WeldScene
+    from grindvision.cell import CalibrationExperiment, GrindingScene, JointScene, WeldScene
 
 GREY, MARKED, TRUTH, TEST_ROWS = "#bbbbbb", "#0072B2", "#D55E00", "#E69F00"
 MOST_DOTS = 20_000
@@ -25,13 +25,16 @@ MOST_DOTS = 20_000
 
 def draw(made: Any, subject: str, seed: int, path: Path) -> None:
     """Draw what ``simulate`` made of a subject."""
-    panels, size = {"grinding": (2, (11, 5)), "welding": (4, (11, 9.5)), "calibration": (2, (11, 5.5))}[subject]
+    rows, size = {"grinding": (1, (11, 5)), "welding": (2, (11, 9.5)), "calibration": (1, (11, 5.5))}.get(
+        subject, (-(-len(made) // 2), (11, 4.5 * -(-len(made) // 2) + 1))
+    )
     figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(2 if panels == 4 else 1, 2).ravel()
+    axes = figure.subplots(rows, 2).ravel()
     draw_subject: dict[str, Callable[..., str]] = {
         "grinding": _draw_grinding,
         "welding": _draw_welding,
         "calibration": _draw_calibration,
+        "joints": _draw_joints,
     }
     facts = draw_subject[subject](axes, made)
     draw_verdict(figure, f"Simulated: {subject}, seed {seed}. Synthetic, nothing here was measured", facts, ())
@@ -57,6 +60,16 @@ def _draw_welding(axes: np.ndarray, scenes: dict[str, WeldScene]) -> str:
         panel.plot(*scene.root_mm[:, :2].T, color=TRUTH, lw=1.5)
         panel.set_title(f"{kind}: {len(points):,} points, {labels.sum():,} in the groove")
     return "Blue: points of the groove, orange: its root (truth). Frame: the camera's, seen from the camera."
+
+
+def _draw_joints(axes: np.ndarray, scenes: dict[str, JointScene]) -> str:
+    for panel in axes[len(scenes) :]:
+        panel.set_axis_off()
+    for panel, (kind, scene) in zip(axes, scenes.items(), strict=False):
+        _dots(panel, scene.points, GREY)
+        panel.plot(*scene.root_mm[:, :2].T, ".", ms=1.5, color=TRUTH)
+        panel.set_title(f"{kind}: {len(scene.points):,} points")
+    return "Orange: the seam as far as it is seen (truth). Frame: the camera's, seen from the camera."
 
 
 def _draw_calibration(axes: np.ndarray, experiment: CalibrationExperiment) -> str:

@@ -53,8 +53,9 @@ def find_gaps(
     on_surface = level - in_field[:, 2] < max(DEEP_SPACINGS * spacing_mm, DEEP_NOISE * noise_mm)
     cell = spacing_mm / 2
     low = in_field[:, :2].min(axis=0)
-    at = ((in_field[on_surface, :2] - low) / cell).astype(int) + 2
-    shape = ((in_field[:, :2].max(axis=0) - low) / cell).astype(int) + 5
+    margin = int(MAX_SPACINGS) + 2  # half the widest gap, and more: beyond the scan all is outside
+    at = ((in_field[on_surface, :2] - low) / cell).astype(int) + margin
+    shape = ((in_field[:, :2].max(axis=0) - low) / cell).astype(int) + 2 * margin + 1
     empty = np.ones(shape, dtype=bool)
     empty[at[:, 0], at[:, 1]] = False
     distance = ndimage.distance_transform_edt(empty) * cell
@@ -69,7 +70,7 @@ def find_gaps(
     cells, widths = cells[ridge], 2 * distance[hole][ridge]
     if len(cells) < 8 or len(cells) > MAX_CELLS:
         return []
-    flat = (cells - 2 + 0.5) * cell + low
+    flat = (cells - margin + 0.5) * cell + low
     along = _directions(flat, 3 * spacing_mm)
     places = np.column_stack([flat, np.zeros(len(flat))])
     directions = np.column_stack([along, np.zeros(len(flat))])

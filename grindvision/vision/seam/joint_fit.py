@@ -27,6 +27,8 @@ ROUNDS, TUKEY = 5, 4.7
 MIN_PASSES, MAX_PASSES = 4, 14
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
 MIN_SHOWN_TURN_RAD, MIN_SHOWN_DEVIATIONS = np.radians(4.0), 2.0
+#: Scans without noise have that of their numbers.
+MIN_NOISE_MM = 1e-4
 #: Where a face is less even than elsewhere, it may scatter so many times as much as usual.
 LOCAL = 3.0
 #: Points at first belong to a face up to this slope off it.
@@ -230,7 +232,7 @@ def _parabola(
         coefficients[:, :terms] = np.einsum("sij,js->si", inverse, right)
         off = e - sum(coefficients[at, k] * powers[k] for k in range(terms))
         known = weights > 0
-        noise = float(MAD_TO_STD * np.median(np.abs(off[known]))) if known.any() else 0.0
+        noise = max(float(MAD_TO_STD * np.median(np.abs(off[known]))) if known.any() else 0.0, MIN_NOISE_MM)
         spread = gaussian_filter1d(
             np.stack([np.bincount(at, weights, count), np.bincount(at, weights * off**2, count)]), window, axis=1
         )

@@ -1,4 +1,4 @@
-"""Kinds of weld joints, by their names in ISO 6947 and ISO 2553, and a seam that was found with its evidence."""
+"""A weld seam that was found, with its kind, its sizes and its evidence."""
 
 from __future__ import annotations
 
@@ -7,41 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.errors import InputError
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.joint_names import BUTT, LAP
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-V_GROOVE, U_GROOVE, BEVEL = "v-groove", "u-groove", "bevel-groove"
-BUTT, T_JOINT, LAP = "butt-gap", "t-joint", "lap-joint"
-INSIDE, OUTSIDE = "inside-corner", "outside-corner"
-TUBE_ON_PLATE, SADDLE = "tube-on-plate", "saddle"
-
-KINDS = (V_GROOVE, U_GROOVE, BEVEL, BUTT, T_JOINT, LAP, INSIDE, OUTSIDE, TUBE_ON_PLATE, SADDLE)
-
-#: Names that stand for several kinds.
-FAMILIES = {
-    "any": KINDS,
-    "groove": (V_GROOVE, U_GROOVE, BEVEL),
-    "butt": (BUTT,),
-    "fillet": (T_JOINT, LAP, INSIDE, TUBE_ON_PLATE, SADDLE),
-    "corner": (INSIDE, OUTSIDE),
-    "tube": (TUBE_ON_PLATE, SADDLE),
-}
-
-
-def kinds_of(joint: str) -> tuple[str, ...]:
-    """The kinds that a name stands for: itself, or those of its family.
-
-    Raises:
-        InputError: an unknown name.
-    """
-    if joint in FAMILIES:
-        return FAMILIES[joint]
-    if joint in KINDS:
-        return (joint,)
-    raise InputError(f"joint {joint!r} is unknown; choose one of {', '.join((*FAMILIES, *KINDS))}")
 
 
 @dataclass(frozen=True)
@@ -59,7 +29,7 @@ class Interruption:
 class Seam:
     """A weld seam at S stations, in the cloud's frame, mm.
 
-    ``kind`` is one of ``KINDS`` and ``evidence`` says in words why. ``root`` (S, 3) is the line to weld with
+    ``kind`` is one of ``joint_names.KINDS``, ``evidence`` says in words why. ``root`` (S, 3) is the line to weld with
     ``sigma_mm`` (S,) across the seam; ``normals`` (S, 3) lead out of the joint, half-way between its faces: a torch
     without work angle comes in against them. ``faces`` (2, S, 3) are the two surfaces' normals, ``opening_deg`` (S,)
     the angle of the air between them with ``opening_sigma_deg``; ``legs_mm`` (2, S) how far each face was followed.

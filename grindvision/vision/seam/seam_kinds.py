@@ -10,7 +10,7 @@ from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face
 from grindvision.vision.seam.gap_lines import MAX_SPACINGS
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_fit import JointFit, Scale
-from grindvision.vision.seam.joints import (
+from grindvision.vision.seam.joint_names import (
     BEVEL,
     BUTT,
     INSIDE,
@@ -21,9 +21,8 @@ from grindvision.vision.seam.joints import (
     TUBE_ON_PLATE,
     U_GROOVE,
     V_GROOVE,
-    Interruption,
-    Seam,
 )
+from grindvision.vision.seam.joints import Interruption, Seam
 from grindvision.vision.seam.step_fit import EdgeFit
 from grindvision.vision.surface.surfels import Surfels
 
@@ -45,7 +44,7 @@ MIN_STEP_DEVIATIONS = 8.0
 #: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
 MAX_HI_LO_MM, MAX_BUTT_TURN_RAD = 4.0, np.radians(10.0)
 #: A gap shows something below it at this share of its stations, or is wider than so many spacings.
-MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 3.0
+MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
 #: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
 U_FLOOR, BEVEL_SKEW = 0.3, 0.22
 

@@ -22,7 +22,8 @@ from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES, LEAST_W
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.height_field import field_bounds
 from grindvision.vision.seam.joint_fit import JointFit, Scale, fit_joint
-from grindvision.vision.seam.joints import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, Seam, kinds_of
+from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
+from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_kinds import corner_seam, groove_seam, named_edges, plausible
 from grindvision.vision.seam.seam_tracing import trace_curves
 from grindvision.vision.seam.step_fit import fit_step
@@ -92,7 +93,7 @@ def find_seams(
         points: (N, 3) or organised (R, C, 3), mm; rows with NaN belong to no seam.
         viewpoint_mm: the camera (3,), in the cloud's frame. Left out, the origin is taken where a camera could stand
             there, otherwise the side that looks up.
-        joint: a kind of ``joints.KINDS`` or a family of ``joints.FAMILIES``; others are then left out.
+        joint: a kind of ``joint_names.KINDS`` or a family of ``joint_names.FAMILIES``; others are then left out.
         width_mm: rough width of grooves; estimated when left out.
 
     Raises:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from grindvision.vision.seam.joint_fit import Scale, closed_runs, nearest_stations
+from grindvision.vision.seam.joint_fit import MIN_NOISE_MM, Scale, closed_runs, nearest_stations
 from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
 
@@ -203,8 +203,8 @@ def _line(at: Integers, u: Floats, v: Floats, count: int, window: float) -> tupl
         line[:, 1] = (suv - su * sv / n) / variance
         line[:, 0] = (sv - line[:, 1] * su) / n
         off = v - line[at, 0] - line[at, 1] * u
-        noise = float(MAD_TO_STD * np.median(np.abs(off)))
-        weights = np.maximum(1 - (off / max(TUKEY * noise, 1e-9)) ** 2, 0) ** 2
+        noise = max(float(MAD_TO_STD * np.median(np.abs(off))), MIN_NOISE_MM)
+        weights = np.maximum(1 - (off / (TUKEY * noise)) ** 2, 0) ** 2
     return line, noise, weights > 0
 
 

@@ -76,7 +76,7 @@ def trace_weld(
         viewpoint_mm: the camera (3,), where it is not the origin.
         settings: of the paper's variant.
         width_mm: rough width of the groove, of our variant; estimated when left out.
-        joint: of our variant: a kind of seam or a family of kinds (see ``joints``).
+        joint: of our variant: a kind of seam or a family of kinds (see ``joint_names``).
 
     Raises:
         InputError: unknown variant, too few way points, an unusable cloud. UnitError: its size is no part's in mm.

@@ -1,0 +1,47 @@
+"""Pieces of joints: closed solids whose true seam lies on them, found again in a scan to what the camera shows."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from grindvision.cell import JOINTS, JointSize, StructuredLightScanner, joint_piece, joint_scene
+from grindvision.errors import InputError
+from grindvision.vision.seam.joint_names import KINDS
+from grindvision.vision.seam.seams import find_seams
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+def test_the_seam_lies_on_a_closed_solid(kind):
+    piece = joint_piece(kind)
+    assert piece.solid.watertight and kind in KINDS
+    np.testing.assert_allclose(np.linalg.norm(piece.normals, axis=1), 1, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", piece.normals, piece.tangents), 0, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["t-joint", "lap-joint", "butt-gap", "tube-on-plate", "bevel-groove"])
+def test_a_scanned_joint_is_found_and_named(kind):
+    scene = joint_scene(kind, np.random.default_rng(1), every=2)
+    found = find_seams(scene.points)
+    assert found.seams[0].kind == kind
+    shown = scene.root_mm + scene.root_errors_mm
+    off = cKDTree(shown).query(found.seams[0].root[2:-2])[0]
+    assert off.mean() < (0.9 if kind == "bevel-groove" else 0.5)
+
+
+def test_a_finer_scanner_shows_the_seam_to_a_tenth():
+    camera = StructuredLightScanner(serial=3)
+    scene = joint_scene("t-joint", np.random.default_rng(3), JointSize(length_mm=90), camera, 400.0, every=2)
+    (seam,) = find_seams(scene.points).seams
+    off = cKDTree(scene.root_mm + scene.root_errors_mm).query(seam.root[2:-2])[0]
+    assert off.mean() < 0.2
+
+
+def test_bad_sizes_are_named():
+    with pytest.raises(InputError, match="gap_mm is 0 mm"):
+        JointSize(gap_mm=0)
+    with pytest.raises(InputError, match="30 to 150 deg"):
+        JointSize(angle_deg=10)
+    with pytest.raises(InputError, match="branch"):
+        JointSize(branch_mm=40)
+    with pytest.raises(InputError, match="no joint 'x'"):
+        joint_piece("x")
