@@ -25,9 +25,11 @@ MOST_DOTS = 20_000
 
 def draw(made: Any, subject: str, seed: int, path: Path) -> None:
     """Draw what ``simulate`` made of a subject."""
-    rows, size = {"grinding": (1, (11, 5)), "welding": (2, (11, 9.5)), "calibration": (1, (11, 5.5))}.get(
-        subject, (-(-len(made) // 2), (11, 4.5 * -(-len(made) // 2) + 1))
-    )
+    if subject == "joints":
+        rows = -(-len(made) // 2)
+        size = (11.0, 4.5 * rows + 1)
+    else:
+        rows, size = {"grinding": (1, (11, 5)), "welding": (2, (11, 9.5)), "calibration": (1, (11, 5.5))}[subject]
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, 2).ravel()
     draw_subject: dict[str, Callable[..., str]] = {
