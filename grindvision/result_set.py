@@ -85,8 +85,9 @@ def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> It
 @contextmanager
 def _folder_of_ours(folder: Path) -> Iterator[bool]:
     """Make the folder and lock it; yields whether nobody else can be in it. Removes what it made and nobody filled."""
-    new = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+    new: list[Path] = []
     try:
+        new += [parent for parent in (folder, *folder.parents) if not parent.exists()]
         handle = _locked(folder)
     except OSError as error:
         _remove_empty(new)
@@ -95,9 +96,10 @@ def _folder_of_ours(folder: Path) -> Iterator[bool]:
         yield handle is not None
     finally:
         if handle is not None:
-            with suppress(OSError):
-                (folder / LOCK).unlink()  # still locked: whoever waits for it finds that it is gone, and makes another
-            os.close(handle)
+            try:
+                (folder / LOCK).unlink(missing_ok=True)  # still locked: who opened it finds that it is gone
+            finally:
+                os.close(handle)
         _remove_empty(new)
 
 

@@ -24,6 +24,11 @@ from grindvision.formats.records import (
 from grindvision.input_files import bytes_left, check_memory
 from grindvision.kernels import njit
 
+#: NumPy types by TYPE and SIZE of a field.
+PCD_TYPES = {
+    (kind, str(size)): f"<{kind.lower()}{size}" for kind in "FIU" for size in (1, 2, 4, 8) if (kind, size) != ("F", 1)
+}
+
 #: LZF packs no run tighter than 264 bytes into 3.
 LARGEST_RATIO = 88
 MOST_VALUES_PER_POINT = 4096
@@ -74,7 +79,7 @@ def _header(path: Path, file: BinaryIO) -> _Header:
         if min(counts) < 1 or sum(counts) > MOST_VALUES_PER_POINT:
             raise ValueError
         fields = [
-            (np.dtype("<" + kind.lower() + size).str, count)
+            (PCD_TYPES[kind.upper(), size], count)
             for kind, size, count in zip(said["TYPE"], said["SIZE"], counts, strict=True)
         ]
         names = [
@@ -84,8 +89,6 @@ def _header(path: Path, file: BinaryIO) -> _Header:
         ]
         width, height = (count_in_header(path, said[name][0]) for name in ("WIDTH", "HEIGHT"))
         form = said["DATA"][0]
-        if not all(kind[1] in "fiu" for kind, _ in fields):
-            raise ValueError
     except (KeyError, IndexError, ValueError, TypeError):
         raise FileError(f"{path}: the PCD header is damaged; export the cloud again") from None
     points = said.get("POINTS", [str(width * height)])

@@ -5,6 +5,7 @@ The files repeat byte for byte: no date, no random identifiers, text as outlines
 
 from __future__ import annotations
 
+import html
 import re
 import sys
 from typing import TYPE_CHECKING
@@ -111,7 +112,7 @@ def _cell(value: object) -> str:
         return ""
     if isinstance(value, float):
         return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
-    return str(value).replace("|", "\\|")
+    return html.escape(" ".join(str(value).split()), quote=False).replace("|", "\\|")
 
 
 def _check(name: str, data: pd.DataFrame, caption: str) -> None:

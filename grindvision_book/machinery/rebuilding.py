@@ -22,6 +22,7 @@ from grindvision_book.machinery.chapters import OVERVIEW, chapters, chosen
 from grindvision_book.machinery.committed import committed_figures
 from grindvision_book.machinery.contents import missing_or_unlisted
 from grindvision_book.machinery.dependencies import modules_of_notebook
+from grindvision_book.machinery.event_loop import run_all
 from grindvision_book.machinery.kernels import kernel_environment, run_notebook
 from grindvision_book.machinery.places import BUILD, FAST_FIGURES, FIGURES, NOTEBOOKS, ROOT
 from grindvision_book.machinery.publishing import Publication, publish
@@ -121,7 +122,7 @@ def rebuild(
         force=force,
         watcher=watcher or Watcher(),
     )
-    outcomes = asyncio.run(book.run())
+    outcomes = run_all(book.run())
     table = write_scoreboard(figures)
     if figures == FIGURES:
         write_readme(table)

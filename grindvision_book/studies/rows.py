@@ -17,8 +17,8 @@ from grindvision.input_files import check_output_file, open_input
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Bytes in which the line of names ends.
-LONGEST_HEADER = 100_000
+#: How every file of rows begins, and bytes in which its line of names ends.
+BEGIN, LONGEST_HEADER = b"case,seed,code,", 100_000
 
 #: Columns that every row has beside its parameters and results.
 OWN_COLUMNS = ("case", "seed", "code", "error")
@@ -99,7 +99,7 @@ class RowsFile:
     def _load(self) -> None:
         with open_input(self.path) as file:
             first = file.read(LONGEST_HEADER)
-            torn = first.startswith(b"case") or b"case".startswith(first)  # by a crash, in the line of names
+            torn = first.startswith(BEGIN) or BEGIN.startswith(first)  # by a crash, in the line of names
             if not torn and b"\n" not in first:
                 raise FileError(f"{self.path}: not a study's results; choose another file")
             whole = first + file.read()

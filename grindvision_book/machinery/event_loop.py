@@ -1,0 +1,38 @@
+"""Running the chapters' kernels side by side so that a signal ends all of it, and leaves no kernel behind."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class _Loop(asyncio.SelectorEventLoop):
+    """An event loop that leaves the signals alone: nbclient would clean up one kernel and let the build go on."""
+
+    def add_signal_handler(self, *_: Any) -> None:
+        raise NotImplementedError("the signals that end a build belong to the command")
+
+    def remove_signal_handler(self, *_: Any) -> bool:
+        return False
+
+
+def run_all(work: Coroutine[Any, Any, Result]) -> Result:
+    """Run a coroutine to its end; whatever ends it, all tasks that it began are cancelled and clean up first."""
+    loop = _Loop()
+    asyncio.set_event_loop(loop)
+    try:
+        return loop.run_until_complete(work)
+    finally:
+        try:
+            tasks = asyncio.all_tasks(loop)
+            for task in tasks:
+                task.cancel()
+            loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+            loop.run_until_complete(loop.shutdown_asyncgens())
+            loop.run_until_complete(loop.shutdown_default_executor())
+        finally:
+            asyncio.set_event_loop(None)
+            loop.close()
