@@ -275,7 +275,7 @@ def test_planes_that_are_kept_and_a_few_points_first_do_not_move_the_result(prep
     source, normals = source.surfels.points, source.surfels.normals
     assert len(source) > plane_icp.MANY
     found = icp_planes(source, normals, target.surfels, close)
-    monkeypatch.setattr(plane_icp, "STAY", 0.0)
+    monkeypatch.setattr(plane_icp, "REMATCH_TOLERANCE", 0.0)
     monkeypatch.setattr(plane_icp, "MANY", len(source))
     plain = icp_planes(source, normals, target.surfels, close)
     turn, shift = errors(found.T_target_source, plain.T_target_source, source.mean(axis=0))

@@ -41,10 +41,7 @@ def nearest(grid: CellGrid, queries: ArrayLike, max_mm: float) -> tuple[Integers
     queries = np.ascontiguousarray(queries, dtype=float)
     indices = np.empty(len(queries), dtype=np.int64)
     distances = np.empty(len(queries))
-    _nearest_all(
-        queries, float(max_mm), grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells,
-        grid.origin_mm, 1.0 / grid.size_mm, indices, distances,
-    )  # fmt: skip
+    _nearest_all(queries, float(max_mm), grid, indices, distances)
     return indices, distances
 
 
@@ -60,10 +57,8 @@ def within_radius(
             f"radius {radius_mm} mm exceeds the cell size {grid.size_mm} mm; build the cells as large as it"
         )
     queries = np.ascontiguousarray(queries, dtype=float)
-    starts, indices, squared = _within_all(
-        queries, float(radius_mm), -1 if max_neighbours is None else int(max_neighbours), grid.points, grid.order,
-        grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm,
-    )  # fmt: skip
+    most = -1 if max_neighbours is None else int(max_neighbours)
+    starts, indices, squared = _within_all(queries, float(radius_mm), most, grid)
     return Neighbourhoods(starts, indices, squared)
 
 
@@ -73,15 +68,12 @@ def nearest_one(
     y: float,
     z: float,
     max_mm: float,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
 ) -> tuple[int, float]:
     """Index and squared distance of the grid point nearest to (x, y, z) within ``max_mm``; -1 where there is none."""
+    points, order, starts = grid.points, grid.order, grid.starts
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
     i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
     inside = min(min(cx - i0, i0 + 1 - cx), min(cy - j0, j0 + 1 - cy), min(cz - k0, k0 + 1 - cz))
@@ -129,21 +121,13 @@ def _gap(place: float, cell: int) -> float:
 def _nearest_all(
     queries: Floats,
     max_mm: float,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     indices: Integers,
     distances: Floats,
 ) -> None:
+    """``nearest_one`` of every query (M, 3), into ``indices`` and ``distances`` (M,), infinite where there is none."""
     for q in range(len(queries)):
-        best, squared = nearest_one(
-            queries[q, 0], queries[q, 1], queries[q, 2], max_mm, points, order, starts, table_keys, table_cells,
-            origin, per_mm,
-        )  # fmt: skip
+        best, squared = nearest_one(queries[q, 0], queries[q, 1], queries[q, 2], max_mm, grid)
         indices[q] = best
         distances[q] = np.sqrt(squared) if best >= 0 else np.inf
 
@@ -153,23 +137,16 @@ def _within_all(
     queries: Floats,
     radius: float,
     max_neighbours: int,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
 ) -> tuple[Integers, Integers, Floats]:
+    """``Neighbourhoods`` of queries (M, 3), the ``max_neighbours`` nearest of each, or all where it is negative."""
     first = np.zeros(len(queries) + 1, dtype=np.int64)
     # generous: memory that is not written to is not taken
     indices = np.empty(128 * len(queries) + 64, dtype=np.int64)
     squares = np.empty(len(indices))
     used = q = 0
     while q < len(queries):
-        end = _within_one(
-            queries[q], radius, used, indices, squares, points, order, starts, table_keys, table_cells, origin, per_mm
-        )
+        end = _within_one(queries[q], radius, used, indices, squares, grid)
         if end < 0:
             more, more_squares = np.empty(2 * len(indices), dtype=np.int64), np.empty(2 * len(indices))
             more[:used], more_squares[:used] = indices[:used], squares[:used]
@@ -192,18 +169,15 @@ def _within_one(
     used: int,
     indices: Integers,
     squares: Floats,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
 ) -> int:
     """Append the neighbours of one query from place ``used`` on: the place behind the last; -1 when there is no room.
 
     Arrays that grow are replaced outside, as in ``_enter``.
     """
+    points, order, starts = grid.points, grid.order, grid.starts
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     x, y, z = query[0], query[1], query[2]
     cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
     i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))

@@ -63,6 +63,7 @@ def walking_distances(around: Neighbourhoods, start: int) -> Floats:
 
 @njit(cache=True, nogil=True)
 def _walked(starts: Integers, indices: Integers, lengths: Floats, start: int) -> Floats:
+    """Dijkstra's algorithm over the neighbour lists, with a heap: length (N,) of the shortest way to each point."""
     walked = np.full(len(starts) - 1, np.inf)
     walked[start] = 0.0
     ahead = [(0.0, start)]

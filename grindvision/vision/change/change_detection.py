@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, rotate_vectors
-from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
+from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
 from grindvision.geometry.neighbours import nearest
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
@@ -218,12 +218,9 @@ def _clusters(
 
 def _piece(source: Scan, surface: Surfels, members: Integers, signed: Floats, normals: Floats) -> Cluster | None:
     """The scan's own points in the cells of a piece, with their signed distances."""
-    grid = source.surfels.grid
     flags = np.zeros(len(source.surfels), dtype=bool)
     flags[members] = True
-    points = source.points[
-        _points_in_cells(source.points, flags, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm)
-    ]
+    points = source.points[_points_in_cells(source.points, flags, source.surfels.grid)]
     size = surface.grid.size_mm
     distances, up, _ = signed_distances(surface, points, 2 * size)
     high = np.isnan(distances)
@@ -243,10 +240,10 @@ def _piece(source: Scan, surface: Surfels, members: Integers, signed: Floats, no
 
 
 @njit(cache=True, nogil=True)
-def _points_in_cells(
-    points: Floats, flags: Flags, table_keys: Integers, table_cells: NDArray[np.int32], origin: Floats, per_mm: float
-) -> Integers:
+def _points_in_cells(points: Floats, flags: Flags, grid: CellGrid) -> Integers:
     """Indices of the points (N, 3) that lie in the cells with a flag."""
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     found = np.empty(len(points), dtype=np.int64)
     count = 0
     last, wanted = np.int64(-1), np.bool_(False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.vision.registration.plane_icp import BESIDE, plane_residuals
+from grindvision.vision.registration.plane_icp import MAX_LATERAL_OFFSET, plane_residuals
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -53,6 +53,6 @@ def agreeing_share(
     points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float
 ) -> float:
     """The ``agreeing`` of ``agreement`` alone, sooner: nothing is sought farther away than what agrees can be."""
-    most = float(np.hypot(within_mm, BESIDE * target.grid.size_mm))
-    residuals, facing = plane_residuals(points, normals, target, T_target_source, most)
+    max_mm = float(np.hypot(within_mm, MAX_LATERAL_OFFSET * target.grid.size_mm))
+    residuals, facing = plane_residuals(points, normals, target, T_target_source, max_mm)
     return float((facing & (np.abs(residuals) <= within_mm)).mean())

@@ -136,6 +136,7 @@ def _distinct(poses: Floats, spots: Floats, apart: float, cosine: float, kept: i
 
 @njit(cache=True, nogil=True)
 def _dot(a: Floats, b: Floats) -> float:
+    """Inner product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -150,6 +151,7 @@ def _agreeing_pairs(
     apart: float,
     cosine: float,
 ) -> tuple[Integers, Integers]:
+    """Of drawn pairs of correspondences, those whose distances and angles agree: their two correspondences."""
     first, second = np.empty(len(draws), np.int64), np.empty(len(draws), np.int64)
     sine = np.sqrt(1 - cosine * cosine)
     found = 0
@@ -208,6 +210,7 @@ def _frame(origin: Floats, end: Floats, normal_a: Floats, normal_b: Floats, fram
 def _poses_of_pairs(
     source: Floats, source_normals: Floats, target: Floats, target_normals: Floats, first: Integers, second: Integers
 ) -> Floats:
+    """Poses T_target_source (K, 4, 4) of pairs of correspondences, by the frames of their two oriented points."""
     poses = np.zeros((len(first), 4, 4))
     frame_s, frame_t = np.empty((3, 3)), np.empty((3, 3))
     found = 0

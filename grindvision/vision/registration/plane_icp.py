@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points, check_rigid, nearest_rotation, rigid
+from grindvision.geometry.hash_grid import CellGrid
 from grindvision.geometry.neighbours import nearest_one
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
@@ -16,13 +19,13 @@ from grindvision.vision.surface.surfels import Surfels
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-BESIDE = 1.5
+MAX_LATERAL_OFFSET = 1.5
 """Points farther along a surfel's plane than so many cells lie beside the surface."""
 
-LEAST_FACING = 0.7
-"""Least cosine of the angle between the normals of two surfaces that may be the same."""
+MIN_FACING = 0.7
+"""Smallest cosine of the angle between the normals of two surfaces that may be the same."""
 
-STAY = 0.005
+REMATCH_TOLERANCE = 0.005
 """A point that has moved by a smaller part of a cell keeps the surfel that was found for it."""
 
 NORMAL_NOISE = 0.01
@@ -61,16 +64,12 @@ def icp_planes(
     source = check_points(source, "source points", 12)
     transform = np.eye(4) if T_start is None else check_rigid(T_start, "T_start")
     normals = np.ascontiguousarray(source_normals, dtype=float)
-    grid = target.grid
-    size = grid.size_mm
-    most = 3 * size if max_mm is None else float(max_mm)
-    limits = most, BESIDE * size, STAY * size, float(min_scale_mm), iterations
+    size = target.grid.size_mm
+    max_mm = 3 * size if max_mm is None else float(max_mm)
+    limits = _limits(target, max_mm, REMATCH_TOLERANCE)
 
     def icp(source: Floats, normals: Floats, start: Floats) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
-        return _plane_icp(
-            source, normals, start, *limits, target.normals, grid.points, grid.order, grid.starts, grid.table_keys,
-            grid.table_cells, grid.origin_mm, 1.0 / size,
-        )  # fmt: skip
+        return _plane_icp(source, normals, start, target.normals, target.grid, limits, float(min_scale_mm), iterations)
 
     if len(source) > MANY:
         near, *_, pairs, _ = icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform)
@@ -79,7 +78,9 @@ def icp_planes(
         np.ascontiguousarray(source), normals, transform
     )
     if pairs < 12:
-        raise DegenerateError(f"only {pairs} points of the scans meet within {most:.3g} mm; they do not overlap there")
+        raise DegenerateError(
+            f"only {pairs} points of the scans meet within {max_mm:.3g} mm; they do not overlap there"
+        )
     transform = rigid(nearest_rotation(transform[:3, :3]), transform[:3, 3])
     rms = float(np.sqrt(errors[-1]))
     return registration_result(transform, rms, pairs / len(source), errors, converged, centre, information, weight, rms)
@@ -90,16 +91,16 @@ def plane_residuals(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
     ``max_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
-    grid, count = target.grid, len(source)
-    matches, moved, sought = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.full((count, 3), np.inf)
-    residuals, facing = np.empty(count), np.empty(count)
-    _match(
-        source, source_normals, T_target_source, max_mm, BESIDE * grid.size_mm, target.normals, grid.points,
-        grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1.0 / grid.size_mm, 0.0, sought,
-        moved, matches, residuals, facing,
-    )  # fmt: skip
-    shown = matches >= 0
-    return np.where(shown, residuals, np.nan), shown & (facing > LEAST_FACING)
+    found = _no_matches(len(source))
+    _match(source, source_normals, T_target_source, target.normals, target.grid, _limits(target, max_mm, 0.0), found)
+    shown = found.planes >= 0
+    return np.where(shown, found.residuals, np.nan), shown & (found.facing > MIN_FACING)
+
+
+def _limits(target: Surfels, max_mm: float, rematch_tolerance: float) -> _Limits:
+    """Limits of the search on a target, whose cells are the unit of the constants."""
+    size = target.grid.size_mm
+    return _Limits(float(max_mm), MAX_LATERAL_OFFSET * size, rematch_tolerance * size)
 
 
 @njit(cache=True, nogil=True)
@@ -109,10 +110,10 @@ def solve_definite(matrix: Floats, right: Floats) -> Floats:
     count = len(right)
     for a in range(count):
         for b in range(a + 1, count):
-            share = rows[b, a] / rows[a, a]
+            factor = rows[b, a] / rows[a, a]
             for c in range(a, count):
-                rows[b, c] -= share * rows[a, c]
-            solution[b] -= share * solution[a]
+                rows[b, c] -= factor * rows[a, c]
+            solution[b] -= factor * solution[a]
     for a in range(count - 1, -1, -1):
         for c in range(a + 1, count):
             solution[a] -= rows[a, c] * solution[c]
@@ -120,33 +121,55 @@ def solve_definite(matrix: Floats, right: Floats) -> Floats:
     return solution
 
 
+class _Limits(NamedTuple):
+    """How far a plane may lie from its point, and how far along itself; a point that has moved less keeps its plane."""
+
+    max_mm: float
+    max_lateral_mm: float
+    rematch_mm: float
+
+
+class _Matches(NamedTuple):
+    """The planes found for points (N, 3): where the points have ``moved`` to, where their planes were last ``sought``
+    from, the ``planes``' indices (N,), -1 where none is shown, ``residuals`` (N,) along their normals, and the cosines
+    ``facing`` (N,) between the normals."""
+
+    moved: Floats
+    sought: Floats
+    planes: Integers
+    residuals: Floats
+    facing: Floats
+
+
+@njit(cache=True, nogil=True)
+def _no_matches(count: int) -> _Matches:
+    """Room for the planes of so many points, none sought yet."""
+    return _Matches(
+        np.empty((count, 3)),
+        np.full((count, 3), np.inf),
+        np.empty(count, dtype=np.int64),
+        np.empty(count),
+        np.empty(count),
+    )
+
+
 @njit(cache=True, nogil=True)
 def _match(
     source: Floats,
     normals: Floats,
     transform: Floats,
-    most: float,
-    beside: float,
     target_normals: Floats,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
-    stay: float,
-    sought: Floats,
-    moved: Floats,
-    matches: Integers,
-    residuals: Floats,
-    facing: Floats,
+    grid: CellGrid,
+    limits: _Limits,
+    found: _Matches,
 ) -> None:
-    """Move points (N, 3) with normals (N, 3) and find the plane of each: fill the moved points, the planes' indices, -1
-    where none is shown, distances along their normals and the cosines (N,) between the normals.
+    """Move points (N, 3) with normals (N, 3) and find the plane of each, as ``_Matches`` describes, in place.
 
-    A point keeps its plane while it is nearer than ``stay`` to the place from which the plane was ``sought`` (N, 3).
+    A point keeps its plane while it is nearer than ``rematch_mm`` to the place from which the plane was sought.
     """
+    max_mm, max_lateral_mm, rematch_mm = limits
+    moved, sought, matches, residuals, facing = found
+    points = grid.points
     m = transform
     for p in range(len(source)):
         s, n = source[p], normals[p]
@@ -155,8 +178,8 @@ def _match(
         z = m[2, 0] * s[0] + m[2, 1] * s[1] + m[2, 2] * s[2] + m[2, 3]
         moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
         ax, ay, az = x - sought[p, 0], y - sought[p, 1], z - sought[p, 2]
-        if not ax * ax + ay * ay + az * az < stay * stay:
-            matches[p], _ = nearest_one(x, y, z, most, points, order, starts, table_keys, table_cells, origin, per_mm)
+        if not ax * ax + ay * ay + az * az < rematch_mm * rematch_mm:
+            matches[p], _ = nearest_one(x, y, z, max_mm, grid)
             sought[p, 0], sought[p, 1], sought[p, 2] = x, y, z
         q = matches[p]
         if q < 0:
@@ -164,7 +187,7 @@ def _match(
         t = target_normals[q]
         dx, dy, dz = x - points[q, 0], y - points[q, 1], z - points[q, 2]
         residuals[p] = t[0] * dx + t[1] * dy + t[2] * dz
-        if dx * dx + dy * dy + dz * dz - residuals[p] * residuals[p] >= beside * beside:
+        if dx * dx + dy * dy + dz * dz - residuals[p] * residuals[p] >= max_lateral_mm * max_lateral_mm:
             matches[p] = -1
             continue
         facing[p] = 0.0
@@ -197,25 +220,18 @@ def _plane_icp(
     source: Floats,
     normals: Floats,
     transform: Floats,
-    most: float,
-    beside: float,
-    stay: float,
-    least_scale: float,
-    iterations: int,
     target_normals: Floats,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
+    limits: _Limits,
+    min_scale: float,
+    iterations: int,
 ) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
+    """The iterations of ``icp_planes``: pose, information about the pairs' centre, that centre, mean squares per
+    iteration, sum of the weights, number of pairs, and whether it came to rest."""
     count = len(source)
     current = transform.copy()
-    moved, residual, facing = np.empty((count, 3)), np.empty(count), np.empty(count)
-    sought = np.full((count, 3), np.inf)
-    match = np.empty(count, dtype=np.int64)
+    found = _no_matches(count)
+    moved, match, residual, facing = found.moved, found.planes, found.residuals, found.facing
     sizes = np.empty(count)
     errors = np.zeros(iterations)
     done, converged = 0, False
@@ -224,14 +240,11 @@ def _plane_icp(
     row = np.empty(6)
     pairs, total = 0, 0.0
     for iteration in range(iterations):
-        _match(
-            source, normals, current, most, beside, target_normals, points, order, starts, table_keys, table_cells,
-            origin, per_mm, stay, sought, moved, match, residual, facing,
-        )  # fmt: skip
+        _match(source, normals, current, target_normals, grid, limits, found)
         pairs = 0
         centre[:] = 0.0
         for p in range(count):
-            if match[p] >= 0 and facing[p] < LEAST_FACING:
+            if match[p] >= 0 and facing[p] < MIN_FACING:
                 match[p] = -1
             if match[p] >= 0:
                 sizes[pairs] = abs(residual[p])
@@ -242,7 +255,7 @@ def _plane_icp(
             break
         for k in range(3):
             centre[k] /= pairs
-        scale = max(1.4826 * np.median(sizes[:pairs]), least_scale, 1e-12)
+        scale = max(1.4826 * np.median(sizes[:pairs]), min_scale, 1e-12)
         cut = 4.685 * scale
         matrix[:, :], right[:] = 0.0, 0.0
         total, square = 0.0, 0.0

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, vector_angle
+from grindvision.geometry.hash_grid import CellGrid
 from grindvision.kernels import njit
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
@@ -125,23 +126,19 @@ def vote(points: ArrayLike, marked: ArrayLike, radius_mm: float) -> Flags:
 def _normals(
     first: int,
     last: int,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     radius: float,
     normals: Floats,
 ) -> None:
+    """Unit normals (N, 3) of the points in cells ``first`` to ``last``, by the direction of least variance."""
+    points, order, starts = grid.points, grid.order, grid.starts
     found = np.empty(1024, np.int64)
     x, y, z = np.empty(1024, np.float32), np.empty(1024, np.float32), np.empty(1024, np.float32)
     limit = radius * radius
     zero: Any = np.float32(0)
     one: Any = np.float32(1)
     for cell in range(first, last):
-        found, count = gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found)
+        found, count = gather(cell, grid, found)
         if count > len(x):
             x, y, z = np.empty(2 * count, np.float32), np.empty(2 * count, np.float32), np.empty(2 * count, np.float32)
         centre = points[order[starts[cell]]]
@@ -183,19 +180,15 @@ def _normals(
 def _angles(
     first: int,
     last: int,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     radius: float,
     normals: Floats,
     turn: Floats,
     local: Floats,
     whole: Floats,
 ) -> None:
+    """Variances (N,) of the two angles of the histogram over the neighbours of the points of some cells."""
+    points, order, starts = grid.points, grid.order, grid.starts
     found = np.empty(1024, np.int64)
     near = np.empty((7, 1024), np.float32)
     limit = radius * radius
@@ -216,7 +209,7 @@ def _angles(
     )
     pi = np.float32(np.pi)
     for cell in range(first, last):
-        found, count = gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found)
+        found, count = gather(cell, grid, found)
         if count > near.shape[1]:
             near = np.empty((7, 2 * count), np.float32)
         centre = points[order[starts[cell]]]
@@ -262,24 +255,21 @@ def _angles(
 def _vote(
     first: int,
     last: int,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     radius: float,
     marked: Flags,
     result: Floats,
 ) -> None:
+    """Whether most neighbours of each point of cells ``first`` to ``last`` are ``marked`` (N,), into ``result``
+    (N,)."""
+    points, order, starts = grid.points, grid.order, grid.starts
     found = np.empty(1024, np.int64)
     near = np.empty((4, 1024), np.float32)
     limit = radius * radius
     zero: Any = np.float32(0)
     one: Any = np.float32(1)
     for cell in range(first, last):
-        found, count = gather(cell, points, order, starts, table_keys, table_cells, origin, per_mm, found)
+        found, count = gather(cell, grid, found)
         if count > near.shape[1]:
             near = np.empty((4, 2 * count), np.float32)
         centre = points[order[starts[cell]]]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
+from grindvision.geometry.hash_grid import CellGrid
 from grindvision.kernels import njit
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
@@ -51,32 +52,28 @@ def smooth_mls(points: ArrayLike, radius_mm: float, order: int = 2) -> Floats:
 def _move(
     first: int,
     last: int,
-    points: Floats,
-    order_: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     radius: float,
     order: int,
     moved: Floats,
 ) -> None:
+    """Points of cells ``first`` to ``last`` moved onto the polynomial of the given order through their neighbours."""
+    points, members, starts = grid.points, grid.order, grid.starts
     found = np.empty(4096, np.int64)
     x, y, z = np.empty(4096, np.float32), np.empty(4096, np.float32), np.empty(4096, np.float32)
     kept = np.empty((3, 4096), np.float32)
     limit = radius * radius
     for cell in range(first, last):
-        found, count = gather(cell, points, order_, starts, table_keys, table_cells, origin, per_mm, found)
+        found, count = gather(cell, grid, found)
         if count > len(x):
             x, y, z = np.empty(2 * count, np.float32), np.empty(2 * count, np.float32), np.empty(2 * count, np.float32)
             kept = np.empty((3, 2 * count), np.float32)
-        centre = points[order_[starts[cell]]]
+        centre = points[members[starts[cell]]]
         for m in range(count):
             q = points[found[m]]
             x[m], y[m], z[m] = q[0] - centre[0], q[1] - centre[1], q[2] - centre[2]
         for at in range(starts[cell], starts[cell + 1]):
-            p = order_[at]
+            p = members[at]
             px = np.float32(points[p, 0] - centre[0])
             py = np.float32(points[p, 1] - centre[1])
             pz = np.float32(points[p, 2] - centre[2])

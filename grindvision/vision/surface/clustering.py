@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import build_cells, cell_key, find_slot
+from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
 from grindvision.kernels import njit
 
 Integers = NDArray[np.int64]
@@ -23,10 +23,7 @@ def euclidean_clusters(points: ArrayLike, distance_mm: float) -> Integers:
         return np.zeros(0, dtype=np.int64)
     # Two points of one cell of this size are never farther apart than the distance.
     grid = build_cells(points, distance_mm / np.sqrt(3) * (1 - 1e-9))
-    cell_roots = _joined_cells(
-        grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1 / grid.size_mm,
-        float(distance_mm),
-    )  # fmt: skip
+    cell_roots = _joined_cells(grid, float(distance_mm))
     root = np.empty(len(points), dtype=np.int64)
     root[grid.order] = np.repeat(cell_roots, np.diff(grid.starts))
     _, first, inverse, sizes = np.unique(root, return_index=True, return_inverse=True, return_counts=True)
@@ -37,16 +34,13 @@ def euclidean_clusters(points: ArrayLike, distance_mm: float) -> Integers:
 
 @njit(cache=True, nogil=True)
 def _joined_cells(
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     distance: float,
 ) -> Integers:
     """Root cell of every cell once all cells with points near enough are joined."""
+    points, order, starts = grid.points, grid.order, grid.starts
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     cells = len(starts) - 1
     parent = np.arange(cells)
     for cell in range(cells):
@@ -65,7 +59,7 @@ def _joined_cells(
                         continue
                     other = table_cells[slot]
                     a, b = _root(parent, cell), _root(parent, other)
-                    if a != b and _touch(points, order, starts, cell, other, distance):
+                    if a != b and _touch(grid, cell, other, distance):
                         parent[max(a, b)] = min(a, b)
     for cell in range(cells):
         parent[cell] = _root(parent, cell)
@@ -74,6 +68,7 @@ def _joined_cells(
 
 @njit(cache=True, nogil=True)
 def _root(parent: Integers, cell: int) -> int:
+    """Root of a cell in the union-find forest ``parent``, halving the path on the way."""
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]
         cell = parent[cell]
@@ -81,7 +76,9 @@ def _root(parent: Integers, cell: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _touch(points: Floats, order: Integers, starts: Integers, cell: int, other: int, distance: float) -> bool:
+def _touch(grid: CellGrid, cell: int, other: int, distance: float) -> bool:
+    """Whether two cells have points within ``distance`` of each other."""
+    points, order, starts = grid.points, grid.order, grid.starts
     for a in range(starts[cell], starts[cell + 1]):
         for b in range(starts[other], starts[other + 1]):
             total = 0.0

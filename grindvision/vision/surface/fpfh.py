@@ -87,6 +87,8 @@ def _simple_histograms(points: Floats, normals: Floats, starts: Integers, indice
 
 @njit(cache=True, nogil=True)
 def _weighted_histograms(simple: Floats, starts: Integers, indices: Integers, squared: Floats) -> Floats:
+    """FPFH (N, 33): each point's own histogram and those of its neighbours, weighted by one over their squared
+    distance."""
     features = simple.copy()
     sums = np.empty(3 * BINS)
     for p in range(len(simple)):
@@ -152,4 +154,5 @@ def _bin_of_direction(x: float, y: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _bin(fraction: float) -> int:
+    """Bin of a value between 0 and 1."""
     return min(max(int(np.floor(BINS * fraction)), 0), BINS - 1)

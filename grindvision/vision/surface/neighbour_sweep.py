@@ -44,39 +44,34 @@ def build_sweep(points: ArrayLike, radius_mm: float) -> CellSweep:
 
 
 def sweep(kernel: Callable[..., None], grid: CellGrid, *arguments: object) -> None:
-    """Call ``kernel(first_cell, last_cell, *grid, *arguments)`` for ranges of cells that together make up the grid.
+    """Call ``kernel(first_cell, last_cell, grid, *arguments)`` for ranges of cells that together make up the grid.
 
-    ``*grid`` are points, order, starts, table_keys, table_cells, origin and cells per mm, as ``CellGrid`` holds them.
     The kernel must release the interpreter lock and write only what belongs to the points of its own cells.
     """
     cells = len(grid.starts) - 1
     cores = usable_cores()
     cuts = np.linspace(0, cells, min(cells, cores * _RANGES_PER_CORE) + 1).astype(int)
-    fixed = (grid.points, grid.order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm, 1 / grid.size_mm)
     if cores == 1 or cells < 64:
-        kernel(0, cells, *fixed, *arguments)
+        kernel(0, cells, grid, *arguments)
         return
     with ThreadPoolExecutor(cores) as pool:
-        for done in [pool.submit(kernel, int(a), int(b), *fixed, *arguments) for a, b in pairwise(cuts)]:
+        for done in [pool.submit(kernel, int(a), int(b), grid, *arguments) for a, b in pairwise(cuts)]:
             done.result()
 
 
 @njit(cache=True, nogil=True)
 def gather(
     cell: int,
-    points: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
     found: Integers,
 ) -> tuple[Integers, int]:
     """Write the indices of all points of the 125 cells around a cell into ``found``, grown when too small.
 
     Returns the array and the number of points.
     """
+    points, order, starts = grid.points, grid.order, grid.starts
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     p = order[starts[cell]]
     i = int((points[p, 0] - origin[0]) * per_mm)
     j = int((points[p, 1] - origin[1]) * per_mm)

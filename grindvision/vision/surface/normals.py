@@ -196,6 +196,7 @@ def _covered_cells(away: Floats, directions: Floats, cell: float) -> Integers:
 
 @njit(cache=True, nogil=True)
 def _plane_normals(points: Floats, starts: Integers, indices: Integers) -> Floats:
+    """Direction (N, 3) of least variance of each point's neighbours; zero where there are fewer than three."""
     normals = np.zeros((len(points), 3))
     for p in range(len(points)):
         count = starts[p + 1] - starts[p]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry.hash_grid import cell_key, find_slot
+from grindvision.geometry.hash_grid import CellGrid, cell_key, find_slot
 from grindvision.geometry.neighbours import nearest_one
 from grindvision.kernels import njit
 from grindvision.parallel import parallel_map
@@ -23,14 +23,10 @@ def signed_distances(target: Surfels, points: ArrayLike, max_mm: float) -> tuple
     where no surfel lies within ``max_mm`` or the point is beside the surface.
     """
     grid = target.grid
-    planes = target.planes
-    order = np.arange(len(planes))
+    planes = grid._replace(points=target.planes, order=np.arange(len(target)))
 
     def blended(part: Floats) -> tuple[Floats, Floats, Floats]:
-        return _blended(
-            part, float(max_mm), planes, order, grid.starts, grid.table_keys, grid.table_cells, grid.origin_mm,
-            1.0 / grid.size_mm,
-        )  # fmt: skip
+        return _blended(part, float(max_mm), planes)
 
     halves = np.array_split(np.ascontiguousarray(points, dtype=float), 2)
     distances, normals, variances = (
@@ -43,15 +39,12 @@ def signed_distances(target: Surfels, points: ArrayLike, max_mm: float) -> tuple
 def _blended(
     queries: Floats,
     max_mm: float,
-    planes: Floats,
-    order: Integers,
-    starts: Integers,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
-    origin: Floats,
-    per_mm: float,
+    grid: CellGrid,
 ) -> tuple[Floats, Floats, Floats]:
-    """Signed distances, normals, variances; ``planes`` as ``Surfels`` has them."""
+    """Signed distances, normals, variances; the grid's points are the ``planes`` of ``Surfels``, in its order."""
+    planes, starts = grid.points, grid.starts
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     number = len(queries)
     distances, variances = np.full(number, np.nan), np.zeros(number)
     blended = np.zeros((number, 3))
@@ -59,7 +52,7 @@ def _blended(
     two_variances = 2 * (0.9 * size) ** 2
     for p in range(number):
         x, y, z = queries[p, 0], queries[p, 1], queries[p, 2]
-        q, squared = nearest_one(x, y, z, max_mm, planes, order, starts, table_keys, table_cells, origin, per_mm)
+        q, squared = nearest_one(x, y, z, max_mm, grid)
         if q < 0:
             continue
         nx, ny, nz = planes[q, 3], planes[q, 4], planes[q, 5]

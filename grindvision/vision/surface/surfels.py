@@ -119,6 +119,7 @@ def _moments(points: Floats, cell_of_point: NDArray[np.int32], cells: int, origi
 def _fit_planes(
     keys: Integers, sums: Floats, table_keys: Integers, table_cells: NDArray[np.int32], origin: Floats, size: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
+    """Means, normals, noise and roughness of the cells from their moments (``_moments``), as ``Surfels`` has them."""
     cells = len(keys)
     means, normals = np.empty((cells, 3)), np.zeros((cells, 3))
     noise, roughness = np.zeros(cells), np.zeros(cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,29 +77,34 @@ def voxel_grid(points: ArrayLike, size_mm: float, origin_mm: ArrayLike = (0.0, 0
         raise InputError(
             f"voxels of {size_mm} mm over {np.ptp(points, axis=0).max():.3g} mm are too many to number; use larger ones"
         )
-    low, extent = low.astype(np.int64), extent.astype(np.int64)
+    lattice = _Lattice(origin, float(size_mm), low.astype(np.int64), extent.astype(np.int64))
     voxel_of_point = np.empty(len(points), dtype=np.int32)
     keys, count = np.empty(1 << 14, dtype=np.int64), -1
     while count < 0:
         keys = np.empty(4 * len(keys), dtype=np.int64)
-        count = _number_cells(
-            points, origin, float(size_mm), low, extent, voxel_of_point, keys, *grown_table(keys, 0, 2 * len(keys))
-        )
+        table_keys, table_cells = grown_table(keys, 0, 2 * len(keys))
+        count = _number_cells(points, lattice, voxel_of_point, keys, table_keys, table_cells)
     order = np.argsort(keys[:count])
     rank = np.empty(count, dtype=np.int32)
     rank[order] = np.arange(count)
     counts, sums = _gather(points, voxel_of_point, rank)
-    cells = np.column_stack(np.unravel_index(keys[order], extent)) + low
+    cells = np.column_stack(np.unravel_index(keys[order], lattice.extent)) + lattice.low
     return VoxelGrid(points[0] + sums / counts[:, None], counts, cells, voxel_of_point, float(size_mm), origin)
+
+
+class _Lattice(NamedTuple):
+    """Cells of ``size_mm`` from ``origin_mm`` (3,): those of a cloud begin at ``low`` (3,), ``extent`` (3,) a side."""
+
+    origin_mm: Floats
+    size_mm: float
+    low: Integers
+    extent: Integers
 
 
 @njit(cache=True, nogil=True)
 def _number_cells(
     points: Floats,
-    origin: Floats,
-    size: float,
-    low: Integers,
-    extent: Integers,
+    lattice: _Lattice,
     numbers: NDArray[np.int32],
     keys: Integers,
     table_keys: Integers,
@@ -109,6 +115,7 @@ def _number_cells(
     A key counts the cells of the cloud's box, x slowest. Scan neighbours share a cell: the table is asked when it
     changes.
     """
+    origin, size, low, extent = lattice
     count = cell = 0
     last = np.int64(-1)
     for p in range(len(points)):
