@@ -11,17 +11,23 @@ from typing import Any
 def lazy_names(
     package: str, homes: Mapping[str, Sequence[str]], renamed: Mapping[str, str] | None = None
 ) -> tuple[list[str], Callable[[str], Any]]:
-    """``__all__`` and ``__getattr__`` of ``package``: ``homes`` lists the names by the module they are fetched from.
+    """``__all__`` and ``__getattr__`` of ``package``: ``homes`` lists the names by the module they are fetched from,
+    and ``name as other`` where they are called otherwise here.
 
     ``renamed`` gives the new name of an old one, or ``new=module:name`` where something else stands in for the old one
     because the arguments have changed. Old names work, are not listed, and raise a ``DeprecationWarning``.
     """
-    home_of = {name: module for module, names in homes.items() for name in names}
+    home_of = {}
+    for module, names in homes.items():
+        for entry in names:
+            there, _, here = entry.partition(" as ")
+            home_of[here or there] = module, there
     old = dict(renamed or {})
 
     def get(name: str) -> Any:
         if name in home_of:
-            return getattr(import_module(f"{package}.{home_of[name]}"), name)
+            module, there = home_of[name]
+            return getattr(import_module(f"{package}.{module}"), there)
         if name in old:
             new, _, stand_in = old[name].partition("=")
             warnings.warn(

@@ -1,14 +1,15 @@
+import doctest
 import importlib
 import warnings
 
 import pytest
 
-FACES = ["geometry", "arm", "calibration", "cell", "vision", "motion", "paper"]
+FACES = ["", "geometry", "arm", "calibration", "cell", "vision", "motion", "paper"]
 
 
 @pytest.mark.parametrize("face", FACES)
 def test_every_name_of_a_face_is_there(face):
-    module = importlib.import_module(f"grindvision.{face}")
+    module = importlib.import_module(f"grindvision.{face}".rstrip("."))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert all(getattr(module, name) is not None for name in module.__all__)
@@ -38,3 +39,20 @@ def test_an_old_function_keeps_its_old_order_and_warns(old, new, rng):
 def test_a_name_that_never_was_is_refused():
     with pytest.raises(AttributeError, match="no_such_name"):
         importlib.import_module("grindvision.vision").no_such_name  # noqa: B018
+
+
+def test_the_front_door_is_fetched_late_and_is_the_rooms_own():
+    import grindvision
+    from grindvision import calibration, vision
+
+    assert grindvision.detect is vision.detect
+    assert grindvision.CalibrateOptions is calibration.Options
+    assert 25 <= len(grindvision.__all__) <= 35
+
+
+def test_the_example_of_register_runs():
+    import grindvision
+
+    finder = doctest.DocTestFinder()
+    (example,) = (one for one in finder.find(grindvision.register, "register") if one.examples)
+    assert doctest.DocTestRunner().run(example).failed == 0

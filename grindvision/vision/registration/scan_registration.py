@@ -106,42 +106,35 @@ def register(
     Nothing needs to be known of the pose. Two scans that leave it open (symmetric parts, bare planes) are refused, and
     the motion that is free is named.
 
-    Parameters
-    ----------
-    source
-        Points (N, 3) of the scan that is moved.
-    target
-        Points (M, 3) of the scan that it is brought onto.
-    options
-        Seed and viewpoints.
-    finished
-        Is told the name of each stage (``STAGES``) when it is done.
+    Args:
+        source: points (N, 3) of the scan that is moved.
+        target: points (M, 3) of the scan that it is brought onto.
+        options: seed and viewpoints.
+        finished: is told the name of each stage (``STAGES``) when it is done.
 
-    Returns
-    -------
-    Registration
-        The pose ``T_target_source`` (4, 4) with its covariance, confidence and overlap.
+    Returns:
+        The pose ``T_target_source`` (4, 4) with its covariance, confidence and overlap, and both scans as they were
+        compared.
 
-    Raises
-    ------
-    InputError
-        NaN points, numbers that are no points, or scans that fit as mirror images only.
-    UnitError
-        One scan is many times larger than the other.
-    DegenerateError
-        Too few points; the scans do not fit or do not overlap enough. ``AmbiguousError``: a motion is free.
+    Raises:
+        InputError: NaN points, numbers that are no points, or scans that fit as mirror images only. UnitError: one scan
+            is many times larger than the other.
+        DegenerateError: too few points; the scans do not fit or do not overlap enough. AmbiguousError: a motion is
+            free.
 
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from grindvision import register
-    >>> x, y = np.meshgrid(np.arange(-60.0, 60.0), np.arange(-40.0, 40.0))
-    >>> z = 0.004 * x * x + 6 * np.exp(-((x - 25) ** 2 + (y + 10) ** 2) / 90) + 0.05 * y
-    >>> target = np.column_stack([x.ravel(), y.ravel(), 400 - z.ravel()])
-    >>> source = target - [3.0, -2.0, 5.0]
-    >>> found = register(source, target)
-    >>> np.abs(found.T_target_source[:3, 3] - [3.0, -2.0, 5.0]).max() < 0.01
-    True
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import register
+        >>> from grindvision.geometry import move_points
+        >>> x, y = np.meshgrid(np.arange(-60.0, 60.0), np.arange(-40.0, 40.0))
+        >>> bumps = [(25, -10, 6.0), (-30, 15, 4.0)]
+        >>> z = 0.004 * x**2 + sum(h * np.exp(-((x - a) ** 2 + (y - b) ** 2) / 100) for a, b, h in bumps)
+        >>> target = np.column_stack([x.ravel(), y.ravel(), 400 - z.ravel()])
+        >>> source = target - [3.0, -2.0, 5.0]
+        >>> found = register(source, target)
+        >>> moved = move_points(found.T_target_source, source)
+        >>> bool(np.abs(moved - target).max() < 0.05)
+        True
     """
     options = RegisterOptions() if options is None else options
     clock = StageClock(finished)
