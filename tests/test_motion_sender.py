@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from grindvision.errors import InputError, SendError
-from grindvision.motion import send_urscript
+from grindvision.motion import announcement, send_urscript
 
 SCRIPT = "def follow_seam():\n  movej([0, 0, 0, 0, 0, 0])\nend\n"
 #: Larger than the buffers between two sockets, so that it cannot vanish into them unread.
@@ -152,3 +152,16 @@ def test_half_a_programme_is_refused_before_anyone_is_called(script):
 def test_an_address_that_is_none_is_refused(where):
     with pytest.raises(InputError, match="cannot send to"):
         send_urscript(SCRIPT, **where)
+
+
+@pytest.mark.parametrize("host", ["8.8.8.8", "172.32.0.1", "2001:4860:4860::8888"])
+def test_an_address_outside_private_networks_is_refused_before_any_connection(monkeypatch, host):
+    monkeypatch.setattr(socket, "create_connection", lambda *a, **k: pytest.fail("it connected"))
+    with pytest.raises(SendError, match=r"no address of a private network.*nothing was sent"):
+        send_urscript("def f():\nend\n", host)
+
+
+def test_what_will_be_sent_is_announced():
+    dry = announcement("def f():\n  set_tcp(p[0,0,0,0,0,0])\n  movej([0], a=1)\nend\n", "10.0.0.2")
+    assert "10.0.0.2:30002" in dry and "1 moves" in dry and "the arc stays off" in dry
+    assert "1 outputs" in announcement("def f():\n  set_digital_out(1, True)\nend\n", "10.0.0.2")

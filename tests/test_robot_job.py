@@ -99,3 +99,13 @@ def test_the_groove_door_writes_the_programme_or_nothing(tmp_path, capsys):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["motion"]["robot"] == "ur3" and report["motion"]["clearance_mm"] > 2.0
     assert report["timings_s"]["motion"] > 0 and report["parameters"]["program"] == "urscript"
+
+
+def test_sending_is_asked_for_and_never_by_chance(pose):
+    common = ["--robot", "ur3", "--scanner-pose", pose]
+    with pytest.raises(InputError, match="--yes is for sending"):
+        robot_job(options(*common, "--yes"))
+    with pytest.raises(InputError, match="--send hands URScript over, not csv"):
+        robot_job(options(*common, "--send", "10.0.0.2"))
+    with pytest.raises(InputError, match="--send is for a robot's programme"):
+        robot_job(options("--send", "10.0.0.2"))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
-from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
+from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job, send_if_agreed
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
     add_field_argument,
@@ -153,6 +153,8 @@ def run(options: argparse.Namespace) -> int:
             draw(weld, points, work.warnings, work.place / "report.png")
         questions = [size_question(("CLOUD",), (cloud,))] + ([where_it_stood(job.T_base_scanner)] if job else [])
         work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, questions=questions)
+    if options.send is not None:
+        send_if_agreed(motion, options)
     return 0
 
 

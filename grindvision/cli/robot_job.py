@@ -72,6 +72,15 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
         "--scanner-pose", metavar="FILE.json", help="needed: 4x4 matrix T_base_scanner, mm, bare or under that key"
     )
     group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default: tool0)")
+    group.add_argument(
+        "--send",
+        metavar="HOST",
+        help="hand the URScript over to this controller once all is written; asks before it does",
+    )
+    group.add_argument("--yes", action="store_true", default=None, help="send without asking: the arm moves at once")
+    group.add_argument(
+        "--anywhere", action="store_true", default=None, help="send to an address outside private networks too"
+    )
     group.add_argument("--program", choices=PROGRAMS, help="format of the programme (default: csv)")
     group.add_argument("--torch-speed", type=number, metavar="MM_S", help="along the seam, mm/s (default: 8)")
     group.add_argument("--seed", type=whole, metavar="N", help="seed of the random start angles (default: 0)")
@@ -85,7 +94,17 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         InputError: an option that needs ``--robot`` without it, or a robot without ``--scanner-pose``.
         FileError: the robot's file or the pose cannot be used. NotRigidError: the pose is no rigid transform.
     """
-    needs_robot = ("flange", "program", "scanner_pose", "seed", "torch_speed", "table_top")
+    needs_robot = (
+        "flange",
+        "program",
+        "scanner_pose",
+        "seed",
+        "torch_speed",
+        "table_top",
+        "send",
+        "yes",
+        "anywhere",
+    )
     if options.robot is None:
         lonely = [name for name in needs_robot if getattr(options, name) is not None]
         if lonely:
@@ -113,6 +132,10 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     if not 0 < speed < float("inf"):
         raise InputError(f"--torch-speed is {speed:g} mm/s; give a number above 0")
     check_count("--seed", options.seed or 0, 0, 10**18)
+    if options.send is None and (options.yes or options.anywhere):
+        raise InputError(f"--{'yes' if options.yes else 'anywhere'} is for sending; give --send HOST as well")
+    if options.send is not None and form != "urscript":
+        raise InputError(f"--send hands URScript over, not {form}; give --program urscript as well")
     return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0)
 
 
@@ -130,6 +153,29 @@ def _table_robot(path: str) -> Robot:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return mdh_robot(Path(path).stem, arm, welding_torch(), limits, LINK_RADIUS_MM)
+
+
+def send_if_agreed(motion: Motion, options: argparse.Namespace) -> None:
+    """Say what ``--send`` will do, ask unless ``--yes``, and hand the programme over.
+
+    Raises:
+        InputError: nobody is there to be asked. SendError: the controller cannot be reached or is not a private one.
+    """
+    import sys
+
+    from grindvision.motion import announcement, send_urscript, urscript
+
+    script = urscript(motion)
+    print(announcement(script, options.send))
+    if not options.yes:
+        if not sys.stdin.isatty():
+            raise InputError(
+                "--send asks before an arm moves, and nobody is there to answer; give --yes; nothing was sent"
+            )
+        if input("Is everybody out of the cell? Send it? [y/N] ").strip().lower() not in ("y", "yes"):
+            print("nothing was sent")
+            return
+    print(send_urscript(script, options.send, anywhere=bool(options.anywhere)))
 
 
 def motion_facts(motion: Motion) -> dict[str, Any]:

@@ -14,7 +14,7 @@ _HOMES = {
     "plan": ("Motion", "plan_motion"),
     "programme": ("SUFFIXES", "UR_JOINTS", "csv_text", "json_content", "urscript", "write_programme"),
     "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
-    "sender": ("UR_PORT", "Delivery", "send_urscript"),
+    "sender": ("UR_PORT", "Delivery", "announcement", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),
     "tool": ("Tool", "grinding_spindle", "welding_torch"),
     "trajectory": ("Trajectory", "tool_trajectory"),

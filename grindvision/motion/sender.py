@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 from dataclasses import dataclass
 
@@ -9,6 +10,22 @@ from grindvision.errors import InputError, SendError
 
 #: The port on which a UR controller streams its state and takes programmes.
 UR_PORT = 30002
+
+
+#: Networks in which a robot may stand: private, link-local and loop-back addresses (RFC 1918, 3927, 4193, 4291).
+PRIVATE = tuple(
+    ipaddress.ip_network(text)
+    for text in (
+        "10.0.0.0/8",
+        "172.16.0.0/12",
+        "192.168.0.0/16",
+        "169.254.0.0/16",
+        "127.0.0.0/8",
+        "fc00::/7",
+        "fe80::/10",
+        "::1/128",
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -23,16 +40,29 @@ class Delivery:
         return f"{self.sent_bytes} bytes sent to {self.host}:{self.port}"
 
 
-def send_urscript(script: str, host: str, port: int = UR_PORT, timeout_s: float = 3.0) -> Delivery:
+def announcement(script: str, host: str, port: int = UR_PORT) -> str:
+    """What sending a programme would do, in one line: where it goes, how it moves, whether it switches anything."""
+    lines = [line.strip() for line in script.splitlines()]
+    moves = sum(line.startswith(("movej(", "movel(", "movep(", "movec(")) for line in lines)
+    outputs = sum(line.startswith("set_") and not line.startswith("set_tcp") for line in lines)
+    arc = f"{outputs} outputs or settings are set" if outputs else "no output is set, the arc stays off"
+    size = len(script.encode("utf-8", "replace"))
+    return f"{host}:{port} will get {size} bytes of URScript and the arm will move at once: {moves} moves, {arc}"
+
+
+def send_urscript(
+    script: str, host: str, port: int = UR_PORT, timeout_s: float = 3.0, *, anywhere: bool = False
+) -> Delivery:
     """Send a whole URScript programme to a controller that listens, and see that it is still there afterwards.
 
     A UR controller speaks first and never stops: it streams its state. So nothing is sent before it has been heard,
     and it must be heard again after the last byte. It runs nothing before the programme's final ``end`` has arrived:
-    what breaks off on the way is thrown away there.
+    what breaks off on the way is thrown away there. A host outside private networks is refused unless ``anywhere``.
 
     Raises:
         InputError: the script is no whole programme, or host, port or time-out make no sense.
-        SendError: refused, unknown host, silent, or closed on the way; the message says what was sent.
+        SendError: an address that is not private, refused, unknown host, silent, or closed on the way; the message says
+            what was sent.
     """
     if not (script.isascii() and script.startswith("def ") and script.endswith("\nend\n")):
         raise InputError("the script is no whole programme: ASCII text from 'def' to a last line 'end'; write it anew")
@@ -41,7 +71,9 @@ def send_urscript(script: str, host: str, port: int = UR_PORT, timeout_s: float 
     data = script.encode("ascii")
     place = f"{host}:{port}"
     try:
-        connection = socket.create_connection((host, port), timeout=timeout_s)
+        address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][4][0]
+        _check_private(str(address), place, anywhere)
+        connection = socket.create_connection((str(address), port), timeout=timeout_s)
     except socket.gaierror:
         raise SendError(f"{place}: no such host; check the robot's address; nothing was sent") from None
     except TimeoutError:
@@ -66,6 +98,15 @@ def send_urscript(script: str, host: str, port: int = UR_PORT, timeout_s: float 
             f"all {len(data)} bytes went out but may not have been taken; look before resending",
         )
     return Delivery(host, port, len(data))
+
+
+def _check_private(address: str, place: str, anywhere: bool) -> None:
+    number = ipaddress.ip_address(address.partition("%")[0])
+    if not anywhere and not any(number in network for network in PRIVATE):
+        raise SendError(
+            f"{place}: {address} is no address of a private network, and a robot belongs in none but a private one;"
+            " check the address, or allow it with anywhere (--anywhere); nothing was sent"
+        )
 
 
 def _hear(connection: socket.socket, place: str, timeout_s: float, sent: str) -> None:
