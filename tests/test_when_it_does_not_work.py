@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from grinding_scene import arc_bead, pair, plate_height, scan, view
 from groove_scenes import cloud, grid, straight_groove, vee
-from tests.test_doubts import on_a_table
+from tests.test_diagnostics import on_a_table
 
 import grindvision_book
 from grindvision.arm import read_arm, write_arm
