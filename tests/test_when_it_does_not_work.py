@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from grinding_scene import arc_bead, pair, plate_height, scan, view
 from groove_scenes import cloud, grid, straight_groove, vee
-from tests.test_diagnostics import on_a_table
 
 import grindvision_book
 from grindvision.arm import read_arm, write_arm
@@ -21,6 +20,7 @@ from grindvision.geometry import rigid, rotation_about
 from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, LEAST_WALL_SLOPE
 from tests.calibration_rig import ROBOT, er3a, rig, ur5
 from tests.test_calibration_input import as_table
+from tests.test_diagnostics import on_a_table
 
 PAGE = Path(grindvision_book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
