@@ -36,9 +36,10 @@ from grindvision.calibration.model import (
     carried,
     moved_cell,
     table_entries,
+    unknowns_for,
 )
 from grindvision.calibration.robust import consistent_rows
-from grindvision.calibration.starts import median_error
+from grindvision.calibration.starts import median_error, place_unseen_fixtures
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding, sentences_of, structure_in
 from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
@@ -205,7 +206,7 @@ def calibrate(
     unknowns = unknowns_of(measurements, arm, options)
     warnings = list(check_measurements(measurements, arm, len(unknowns)))
     fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
-    training = measurements.rows(fitted)
+    training = measurements.rows(fitted).with_known_distances()
     coarse = start or coarse_start(training, arm, options.base_fixed).cell
     if options.variant == "paper":
         fit = _linear_step(coarse, unknowns, training, options.tolerance)
@@ -214,9 +215,12 @@ def calibrate(
             fit = _iterated(coarse, arm, unknowns, training, options)
         except UnitError:  # an angle ran beyond a turn: nothing near the nominal arm fits, and ``check_fit`` says why
             fit = _Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+    if measurements.fixtures:
+        fit = replace(fit, cell=place_unseen_fixtures(fit.cell, measurements, training))
+        coarse = place_unseen_fixtures(coarse, measurements, training)
+    warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
     if not fit.kept.all() and options.variant != "paper" and fit.kept.mean() > 0.5:
         warnings += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
-    warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
     if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
@@ -264,15 +268,7 @@ def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Un
     Raises:
         InputError: a name in ``free`` that is no entry of the table.
     """
-    scanner = 0 if measurements.reflectors and measurements.on_tool else 3 if measurements.on_tool else 6
-    base = 6 if measurements.tracked.any() and not options.base_fixed else 0
-    return Unknowns(
-        scanner,
-        table_entries(arm, options.free),
-        base,
-        reflectors=measurements.reflectors,
-        fixtures=measurements.fixtures,
-    )
+    return unknowns_for(measurements, table_entries(arm, options.free), options.base_fixed)
 
 
 #: Test rows whose errors are so many times what the fit foresees make its statement doubtful.

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.arm import MdhArm, check_angles, forward
 from grindvision.calibration.estimate import Sigmas, gauss_newton, residuals_of
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns
-from grindvision.calibration.starts import fixed_base_start, free_base_starts, median_error
+from grindvision.calibration.model import ScannerOnArm, Unknowns, unknowns_for
+from grindvision.calibration.starts import fixed_base_start, free_base_starts, median_error, touching_start
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import (
     check_points,
@@ -70,6 +70,8 @@ def best_fit(
     Raises:
         DegenerateError: too few measurements, or spheres on one line (with the angle).
     """
+    if measurements.fixtures or measurements.reflectors:
+        return _touching_fit(measurements, arm, base_fixed, robust)
     least = 3 if base_fixed else 4
     if len(measurements) < least:
         raise DegenerateError(f"{len(measurements)} measurements; a coarse calibration needs at least {least}")
@@ -92,11 +94,29 @@ def best_fit(
     return CoarseCalibration(best, _rms(residuals_of(best, measurements)))
 
 
+def _touching_fit(measurements: Measurements, arm: MdhArm, base_fixed: bool, robust: bool) -> CoarseCalibration:
+    """Best fit where rows touch sockets or planes, or where several reflectors sit on the tool."""
+    unknowns = unknowns_for(measurements, (), base_fixed)
+    cells = [touching_start(measurements, arm, base_fixed, seed) for seed in range(3)]
+    best, smallest = None, np.inf
+    for start in cells:
+        cell, *_ = gauss_newton(
+            start, arm, unknowns, measurements, Sigmas(1.0, 0.0, 1.0, 1.0), robust=robust, iterations=40
+        )
+        left = median_error(cell, measurements)
+        if left < smallest:
+            best, smallest = cell, left
+    assert best is not None
+    return CoarseCalibration(best, _rms(residuals_of(best, measurements)))
+
+
 def coarse_start(measurements: Measurements, arm: MdhArm, base_fixed: bool = False) -> CoarseCalibration:
     """Coarse calibration to start from: the tracker's frame taken as the base where that is plausible, else both free.
 
     Plausible means that the nominal arm then leaves at most ``PLAUSIBLE_MM`` in the median.
     """
+    if not measurements.tracked.any():
+        return best_fit(measurements, arm, base_fixed=True)
     taken = best_fit(measurements, arm, base_fixed=True)
     if base_fixed or median_error(taken.cell, measurements) <= PLAUSIBLE_MM:
         return taken

@@ -41,7 +41,7 @@ UNIT_NAMES = {
 UNIT_TOLERANCE, LEAST_FACTOR = 0.04, 0.05
 
 #: Mistakes that may come together, and how many candidates for the first are followed.
-MAX_MISTAKES, FOLLOWED = 3, 3
+MAX_MISTAKES, FOLLOWED = 2, 2
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _refuse_shifted_pairing(
 
 
 def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: ScannerOnArm, base_fixed: bool) -> None:
-    """Refuse with the mistakes, up to three at once, that explain the data best, if they explain them far better.
+    """Refuse with the mistakes, up to two at once, that explain the data best, if they explain them far better.
 
     Raises:
         InputError, UnitError: see ``check_fit``.
@@ -157,7 +157,9 @@ def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: Scan
                 left = errors(changed, other)
                 longer.append((_score(left), (*chain, mistake), changed, other, left))
         longer.sort(key=lambda one: one[0])
-        if not longer or longer[0][0] > 0.5 * best[0]:
+        if not longer or not (
+            longer[0][0] < 0.5 * best[0] or np.quantile(longer[0][4], 0.9) < 0.2 * np.quantile(best[4], 0.9)
+        ):
             break
         best, chains = longer[0], longer[:FOLLOWED]
         if np.quantile(best[4], 0.9) < max(0.02 * np.quantile(given, 0.9), SUSPICIOUS_MM):
@@ -174,10 +176,11 @@ def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: Scan
         rest = ""
         if after > 5 * max(median_after, 1.0):
             rest = f"; yet {(left > 5 * max(median_after, 1.0)).mean():.0%} of the rows stay off, so it is not all"
+        shown = (median_before, median_after) if median_after < 0.5 * median_before else (before, after)
         what = "table" if chain[0].arm is not None else "columns"
         raise chain[0].kind(
             f"{' and '.join(mistake.reason for mistake in chain)}{doubt}: then the nominal arm leaves"
-            f" {median_after:.2f} mm instead of {median_before:.1f} mm{rest}; mend the {what}"
+            f" {shown[1]:.2f} mm instead of {shown[0]:.1f} mm{rest}; mend the {what}"
         )
 
 

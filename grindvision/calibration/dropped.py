@@ -21,6 +21,9 @@ Flags = NDArray[np.bool_]
 #: A region is said to be dropped where so much of it is, and so much of what was dropped lies in it.
 WHOLE, INSIDE = 0.75, 0.75
 
+#: A row that a coupling brings this near agrees with it: the table is not free to follow yet.
+AGREES_MM = 1.0
+
 #: Rows and poses that make a region; fewer are slips.
 MIN_ROWS, MIN_POSES = 4, 3
 
@@ -137,7 +140,7 @@ def _coupling(
                 )
             except GrindvisionError:
                 continue
-            agree = float((np.linalg.norm(residuals_of(fit, training), axis=1) < 8 * typical).mean())
+            agree = float((np.linalg.norm(residuals_of(fit, training), axis=1) < max(8 * typical, AGREES_MM)).mean())
             if agree > max(best, 0.95):
                 best, factor = agree, fit.corrections.values[0]
                 found = (

@@ -86,7 +86,9 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
             continue
         size = np.abs(points).max(axis=0)
         if size.max() < 20:
-            raise UnitError(f"columns {name}x_mm to {name}z_mm reach only {size.max():.4g}: metres? give millimetres")
+            raise UnitError(
+                f"columns {name}x_mm to {name}z_mm reach only {size.max():.4g}: metres, feet? give millimetres"
+            )
         if size.max() > FARTHEST_MM:
             row = int(np.abs(points).max(axis=1).argmax())
             raise UnitError(

@@ -118,6 +118,11 @@ class Measurements:
             scanner_covariance_mm2=None if covariance is None else covariance[chosen],
         )
 
+    def with_known_distances(self) -> Measurements:
+        """The same rows without the distances of sockets in which none of them lies."""
+        seen = set(np.unique(self.fixture).tolist())
+        return replace(self, distances_mm=tuple(one for one in self.distances_mm if {one[0], one[1]} <= seen))
+
     def drawn(self, count: int, rng: np.random.Generator) -> Measurements:
         """Return the same rows with ``count`` of them, drawn at random, to train and the others to test.
 

@@ -156,6 +156,17 @@ def table_entries(arm: MdhArm, names: Sequence[str] | None = None) -> tuple[int,
     return tuple(sorted({known[name] for name in names}))
 
 
+def unknowns_for(measurements: Measurements, table: tuple[int, ...], base_fixed: bool) -> Unknowns:
+    """What these measurements leave open, with the entries ``table`` of the MDH table.
+
+    A point that never moves in the last joint's frame has a place, but no rotation; with several reflectors on the tool
+    each has its own place. Where no row was tracked, the base is the frame of all that is touched.
+    """
+    scanner = 0 if measurements.reflectors and measurements.on_tool else 3 if measurements.on_tool else 6
+    base = 6 if measurements.tracked.any() and not base_fixed else 0
+    return Unknowns(scanner, table, base, reflectors=measurements.reflectors, fixtures=measurements.fixtures)
+
+
 @dataclass(frozen=True)
 class CarriedPoints:
     """M points of the scanner's frame carried through a cell: what residuals and Jacobians have in common.

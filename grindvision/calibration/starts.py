@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.arm import MdhArm, forward
 from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm
+from grindvision.calibration.model import ScannerOnArm, carried
 from grindvision.errors import DegenerateError
 from grindvision.geometry import fit_rigid, inverse, move_points, nearest_rotation, random_rotation, rigid
 
@@ -23,7 +25,7 @@ def median_error(cell: ScannerOnArm, measurements: Measurements) -> float:
     return float(np.median(np.linalg.norm(residuals_of(cell, measurements), axis=1)))
 
 
-def closed_form_errors(measurements: Measurements, arm: MdhArm, base_fixed: bool, subsets: int = SUBSETS) -> Floats:
+def closed_form_errors(measurements: Measurements, arm: MdhArm, base_fixed: bool, subsets: int = 16) -> Floats:
     """Errors (M,) in mm that the best closed-form start leaves: a quick look at whether measurements make sense."""
     rng = np.random.default_rng(0)
     cells = [fixed_base_start(measurements, arm, rng)]
@@ -41,7 +43,8 @@ def unit_factors(measurements: Measurements, arm: MdhArm) -> tuple[float, float]
     rng = np.random.default_rng(0)
     rows = np.arange(len(measurements))
     subsets = [rows] + [rng.choice(rows, 14, replace=False) for _ in range(10) if len(rows) > 14]
-    found = np.array([_linear_solution(measurements.rows(chosen), arm)[1] for chosen in subsets])
+    frames = forward(arm, measurements.q_rad)
+    found = np.array([_linear_solution(measurements, frames, chosen)[1] for chosen in subsets])
     tracker, scanner = (float(value) for value in np.median(found, axis=0))
     return tracker, np.nan if measurements.on_tool else scanner
 
@@ -73,33 +76,44 @@ def free_base_starts(
     measurements: Measurements, arm: MdhArm, rng: np.random.Generator, subsets: int = SUBSETS, blind: int = 2
 ) -> list[ScannerOnArm]:
     """Cells to start from, most promising first: linear solutions of all rows and of subsets, then blind rotations."""
-    rows = np.arange(len(measurements))
+    rows, frames = np.arange(len(measurements)), forward(arm, measurements.q_rad)
     parts = [rows] + [rng.choice(rows, 12, replace=False) for _ in range(subsets) if len(rows) > 12]
-    cells = [_linear_start(measurements.rows(chosen), arm) for chosen in parts]
-    cells.sort(key=lambda cell: median_error(cell, measurements))
+    rotations = [_linear_solution(measurements, frames, chosen)[0] for chosen in parts]
+    cells = [
+        _with_rotations(measurements, arm, frames, chosen, *pair) for chosen, pair in zip(parts, rotations, strict=True)
+    ]
+    cells.sort(key=lambda cell: _median_placed(cell, measurements, frames))
     return [
         *cells[:2],
-        *(_with_rotations(measurements, arm, random_rotation(rng), random_rotation(rng)) for _ in range(blind)),
+        *(
+            _with_rotations(measurements, arm, frames, rows, random_rotation(rng), random_rotation(rng))
+            for _ in range(blind)
+        ),
     ]
 
 
-def _linear_start(measurements: Measurements, arm: MdhArm) -> ScannerOnArm:
-    (R_base_tracker, R_joint_scanner), _ = _linear_solution(measurements, arm)
-    return _with_rotations(measurements, arm, R_base_tracker, R_joint_scanner)
+def _median_placed(cell: ScannerOnArm, measurements: Measurements, frames: Floats) -> float:
+    """Median error of a cell whose joint frames (M, 4, 4) are known already."""
+    joint = move_points(cell.T_joint_scanner, measurements.scanner_mm)
+    base = np.einsum("mij,mj->mi", frames[:, :3, :3], joint) + frames[:, :3, 3]
+    off = measurements.tracker_mm - move_points(cell.T_tracker_base, base)
+    return float(np.median(np.linalg.norm(off, axis=1)))
 
 
-def _linear_solution(measurements: Measurements, arm: MdhArm) -> tuple[tuple[Floats, Floats], tuple[float, float]]:
+def _linear_solution(
+    measurements: Measurements, frames: Floats, chosen: NDArray[np.int64]
+) -> tuple[tuple[Floats, Floats], tuple[float, float]]:
     """Solve R_bt p_t + t_bt - R_i (R_js s + t_js) = t_i with the entries of both rotations free, then make them so.
 
     The second pair says how long the solution's rotation matrices are: 1 where tracker and scanner count as the arm.
     """
-    T_base_joint = forward(arm, measurements.q_rad)
-    size = max(float(np.abs(measurements.tracker_mm).max()), 1.0)
-    columns = np.zeros((len(measurements), 3, 24))
+    T_base_joint, tracker, seen_mm = frames[chosen], measurements.tracker_mm[chosen], measurements.scanner_mm[chosen]
+    size = max(float(np.abs(tracker).max()), 1.0)
+    columns = np.zeros((len(chosen), 3, 24))
     for axis in range(3):
-        columns[:, axis, 3 * axis : 3 * axis + 3] = measurements.tracker_mm / size
+        columns[:, axis, 3 * axis : 3 * axis + 3] = tracker / size
         columns[:, axis, 9 + axis] = 1.0
-        seen = -T_base_joint[:, :3, axis, None] * measurements.scanner_mm[:, None, :] / size
+        seen = -T_base_joint[:, :3, axis, None] * seen_mm[:, None, :] / size
         columns[:, :, 12 + 3 * axis : 15 + 3 * axis] = seen
     columns[:, :, 21:] = -T_base_joint[:, :3, :3]
     solution = np.linalg.lstsq(columns.reshape(-1, 24), T_base_joint[:, :3, 3].ravel(), rcond=1e-9)[0]
@@ -110,15 +124,105 @@ def _linear_solution(measurements: Measurements, arm: MdhArm) -> tuple[tuple[Flo
 
 
 def _with_rotations(
-    measurements: Measurements, arm: MdhArm, R_base_tracker: Floats, R_joint_scanner: Floats
+    measurements: Measurements,
+    arm: MdhArm,
+    frames: Floats,
+    chosen: NDArray[np.int64],
+    R_base_tracker: Floats,
+    R_joint_scanner: Floats,
 ) -> ScannerOnArm:
     """Cell with given rotations and the translations that fit best; a reflector on the tool needs none of its own."""
     if measurements.on_tool:
         R_joint_scanner = np.eye(3)
-    T_base_joint = forward(arm, measurements.q_rad)
+    T_base_joint, tracker = frames[chosen], measurements.tracker_mm[chosen]
     turns = T_base_joint[:, :3, :3]
-    turned = np.einsum("mij,mj->mi", turns, measurements.scanner_mm @ R_joint_scanner.T)
+    turned = np.einsum("mij,mj->mi", turns, measurements.scanner_mm[chosen] @ R_joint_scanner.T)
     columns = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), -turns], axis=2)
-    goal = T_base_joint[:, :3, 3] + turned - measurements.tracker_mm @ R_base_tracker.T
+    goal = T_base_joint[:, :3, 3] + turned - tracker @ R_base_tracker.T
     shifts = np.linalg.lstsq(columns.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
     return ScannerOnArm(arm, rigid(R_joint_scanner, shifts[3:]), inverse(rigid(R_base_tracker, shifts[:3])))
+
+
+def touching_start(measurements: Measurements, arm: MdhArm, base_fixed: bool, seed: int = 0) -> ScannerOnArm:
+    """Cell to start from where rows touch sockets or planes, or several reflectors sit on the tool: linear solutions.
+
+    Tracked rows place the base and the tool first, all reflectors taken for one. Sockets without a bar are solved for
+    with the tool's point; ``seed`` above 0 begins bars and planes elsewhere, where the first start may fail.
+
+    Raises:
+        DegenerateError: neither tracked rows nor sockets to begin with.
+    """
+    rng = np.random.default_rng(seed)
+    reflectors = np.zeros((len(measurements.reflectors), 3))
+    if measurements.tracked.any():
+        tracked = replace(measurements.rows(measurements.tracked), fixtures=(), reflectors=(), distances_mm=())
+        single = tracked
+        if measurements.reflectors and measurements.on_tool:
+            single = tracked.rows(tracked.reflector == int(np.argmax(np.bincount(tracked.reflector))))
+        start = fixed_base_start(single, arm, rng) if base_fixed else free_base_starts(single, arm, rng)[min(seed, 2)]
+        if measurements.reflectors and measurements.on_tool:
+            reflectors = np.tile(start.T_joint_scanner[:3, 3], (len(reflectors), 1))
+            start = replace(start, T_joint_scanner=np.eye(4))
+    else:
+        start = ScannerOnArm(arm, _tool_in_sockets(measurements, arm), np.eye(4))
+    start = replace(start, reflectors_mm=reflectors)
+    everywhere = np.arange(len(measurements.fixtures))
+    return replace(start, fixtures_mm=_fixture_places(start, measurements, everywhere))
+
+
+def place_unseen_fixtures(cell: ScannerOnArm, measurements: Measurements, training: Measurements) -> ScannerOnArm:
+    """The cell with the fixtures that no training row touches where the rows that do touch them say.
+
+    What such rows leave then is how well the cell makes them meet in one point, plane or sphere.
+    """
+    unseen = np.setdiff1d(np.arange(len(measurements.fixtures)), np.unique(training.fixture))
+    places = cell.fixtures_mm.copy()
+    places[unseen] = _fixture_places(cell, measurements, unseen)[unseen]
+    return replace(cell, fixtures_mm=places)
+
+
+def _fixture_places(cell: ScannerOnArm, measurements: Measurements, numbers: NDArray[np.int64]) -> Floats:
+    """Places (F, 4) of the fixtures ``numbers`` by the points that touch them; zero for all others."""
+    points = carried(cell, measurements).tracker_mm
+    places = np.zeros((len(measurements.fixtures), 4))
+    for number in numbers:
+        own = points[measurements.fixture == number]
+        if not len(own):
+            continue
+        if measurements.fixtures[number][0] == "plane":
+            middle = own.mean(axis=0)
+            normal = np.linalg.svd(own - middle)[2][2]
+            places[number] = np.append(normal, normal @ middle)
+            continue
+        places[number, :3] = np.median(own, axis=0)
+        bars = measurements.bar_mm[measurements.fixture == number]
+        if np.isfinite(bars).all():  # all points lie on spheres round the socket
+            rows = np.column_stack([2 * own, np.ones(len(own))])
+            places[number, :3] = np.linalg.lstsq(rows, (own**2).sum(axis=1) - bars**2, rcond=None)[0][:3]
+    return places
+
+
+def _tool_in_sockets(measurements: Measurements, arm: MdhArm) -> Floats:
+    """Where the tool's point sits, T_joint_scanner, if it lay still in every socket: R_i s + t_i = c_k, linear.
+
+    Where only bars and planes are touched, the last joint's origin.
+    """
+    T_base_joint = forward(arm, measurements.q_rad)
+    kinds = np.array([kind == "socket" for kind, _ in measurements.fixtures])
+    fixed = kinds[measurements.fixture] & ~np.isfinite(measurements.bar_mm)
+    if fixed.sum() < 4:
+        return np.eye(4)
+    rows = np.flatnonzero(fixed)
+    columns = np.zeros((len(rows), 3, 12 + 3 * len(kinds)))
+    turns = T_base_joint[rows, :3, :3]
+    columns[:, :, 9:12] = turns
+    seen = measurements.scanner_mm[rows]
+    on_tool = measurements.on_tool
+    if not on_tool:
+        columns[:, :, :9] = np.einsum("mij,mk->mijk", turns, seen).reshape(len(rows), 3, 9)
+    for place, row in enumerate(rows):
+        first = 12 + 3 * int(measurements.fixture[row])
+        columns[place, :, first : first + 3] = -np.eye(3)
+    solution = np.linalg.lstsq(columns.reshape(-1, columns.shape[2]), -T_base_joint[rows, :3, 3].ravel(), rcond=1e-9)[0]
+    rotation = np.eye(3) if on_tool else nearest_rotation(solution[:9].reshape(3, 3))
+    return rigid(rotation, solution[9:12])

@@ -239,9 +239,7 @@ def _scale_effects(points: CarriedPoints, measurements: Measurements) -> list[_E
                 f" this arm: check the {instrument}'s scale, its temperature and unit"
             )
 
-        effects.append(
-            _Effect(f"{instrument} scale", -column[:, :, None] if letter == "s" else column[:, :, None], scale)
-        )
+        effects.append(_Effect(f"{instrument} scale", column[:, :, None], scale))
     return effects
 
 

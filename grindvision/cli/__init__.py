@@ -22,6 +22,7 @@ COMMANDS = {
     "detect": "two scans in, grinding path out",
     "groove": "a scan in, weld groove and torch trajectory out",
     "calibrate": "sphere measurements in, calibrated arm and scanner out",
+    "verify": "new shots in, whether an old calibration still holds",
     "calibrate-field": "scans of a flat plate in, the depth error of the scanner out",
     "simulate": "make inputs for detect, groove and calibrate, with the truth beside them",
     "study": "run a study of the book over many cases, here or on a Dask cluster",

@@ -141,7 +141,7 @@ def run(options: argparse.Namespace) -> int:
     check_count("--seed", options.seed, 0, 10**18)
     if options.robot is None:
         raise InputError("--robot is missing: give the arm as a modified DH table (CSV) or as URDF")
-    columns = _renamed(options.columns or [])
+    columns = columns_of(options.columns or [])
 
     from dataclasses import replace
 
@@ -179,6 +179,8 @@ def run(options: argparse.Namespace) -> int:
             if options.train is not None:
                 drawn = f"{len(unseen.rows)} test rows, the others than {int(measurements.train.sum())} drawn to train"
                 unseen = replace(unseen, how=f"{drawn}, seed {options.seed}")
+        if unseen.beyond is not None and unseen.beyond.mean >= unseen.after.mean:
+            result, unseen = replace(result, beyond=None), replace(unseen, beyond_mm=None)
         with work.stage("trust"):
             box = None if options.box is None else np.reshape(options.box, (2, 3))
             foreseen = calibration.foreseen_errors(result, np.random.default_rng(0), box)
@@ -255,7 +257,7 @@ def _free_entries(options: argparse.Namespace, arm: MdhArm) -> tuple[str, ...] |
     return tuple(names)
 
 
-def _renamed(words: Sequence[str]) -> dict[str, str]:
+def columns_of(words: Sequence[str]) -> dict[str, str]:
     """Our names and the file's from words like ``q1_deg=joint_1``."""
     pairs = dict(word.partition("=")[::2] for word in words)
     odd = [word for word in words if "" in word.partition("=")]

@@ -46,6 +46,8 @@ def write_results(result: Calibration, source: RobotSource, suggestion: Suggesti
     if source.chain is not None:
         T_tracker_base = T_tracker_base @ inverse(source.chain.T_base_table)
     hand_eye: dict[str, Any] = {"T_joint_scanner": result.cell.T_joint_scanner, "T_tracker_base": T_tracker_base}
+    if source.chain is not None:
+        hand_eye["T_tracker_table"] = result.cell.T_tracker_base
     names = result.measurements
     if names.reflectors:
         hand_eye["reflectors_mm"] = dict(zip(names.reflectors, result.cell.reflectors_mm, strict=True))
