@@ -124,3 +124,11 @@ def test_spheres_out_of_sight_are_named(robot):
         cell.directions_seeing(robot, [3000.0, 0, 0], 6, rng)
     with pytest.raises(InputError, match="directions is 0"):
         cell.calibration_plan(robot, rng, directions=0)
+
+
+@pytest.mark.parametrize("metres", [0.0, 5.0, 20.0])
+def test_the_tracker_is_as_noisy_as_its_maker_says_at_every_distance(metres):
+    tracker = cell.LaserTracker(np.eye(4))
+    points = np.tile(tracker.station_mm + [0, 0, 1000 * metres], (20_000, 1))
+    errors_um = 1000 * (tracker.measure(points, np.random.default_rng(1)) - points)
+    np.testing.assert_allclose(errors_um.std(axis=0), 5.0 + 2.0 * metres, rtol=0.03)

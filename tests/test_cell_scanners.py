@@ -204,3 +204,16 @@ def test_field_calibration_takes_the_bend_off_a_flat_plate(plate):
     assert after < 0.4 * before
     with pytest.raises(InputError, match="different steps"):
         calibrate_field(plates, [0.0, 0.0, 1.0])
+
+
+def test_distortion_grows_with_the_square_of_the_distance():
+    """As the error of a disparity does. The view is far wider than a wave, so that it holds as much of the field."""
+    scanner = cell.StructuredLightScanner()
+    scanner = scanner.with_errors(scanner.errors.only("distortion_mm"))
+    x, y = np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21))
+    rays = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    near, far = (
+        np.mean([scanner.with_serial(s).systematic_mm(z * rays).var() for s in range(40)])
+        for z in (scanner.reference_mm, 2 * scanner.reference_mm)
+    )
+    assert np.sqrt(far / near) == pytest.approx(4.0, rel=0.1)

@@ -65,3 +65,15 @@ def test_a_displacement_moves_points_by_the_size_asked_for(rng):
     points = rng.uniform([-50, -50, 350], [50, 50, 450], (200, 3))
     moved = move_points(displacement(rng, points, 0.3), points)
     assert np.sqrt(((moved - points) ** 2).sum(axis=1).mean()) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_a_spread_is_the_largest_minus_the_smallest_coordinate():
+    paths = pd.DataFrame(
+        {
+            "point": [1, 2, 1, 2, 1, 2],
+            "x_mm": [0.0, 7.0, 1.0, 7.5, 5.0, 7.0],
+            "y_mm": [-1.0, 0.0, -4.0, 0.0, 2.0, 0.0],
+            "z_mm": [3.0, 1.0, 3.0, 2.0, 3.0, 4.0],
+        }
+    )
+    np.testing.assert_array_equal(spreads(paths).to_numpy(), [[1, 5, 6, 0], [2, 0.5, 0, 3]])

@@ -16,6 +16,7 @@ from grindvision.geometry import (
     random_rotation,
     rigid,
     rotate_vectors,
+    rotation_about,
     vector_angle,
 )
 from grindvision.vision.change.centreline import bead_centreline
@@ -315,3 +316,24 @@ def test_a_bead_of_few_points_is_refused(rng):
     tiny = Cluster(points, np.ones(8), np.tile([0.0, 0, 1], (8, 1)), 1.0, 3.0, 3.0, 1.0)
     with pytest.raises(DegenerateError, match="too few"):
         trace_bead(tiny)
+
+
+def test_the_minimal_box_is_smaller_than_every_other_one_about_a_prism(rng):
+    outline = np.array([[0, 0], [30, 0], [34, 5], [20, 12], [4, 9], [-3, 4.0]])
+    prism = np.array([[x, y, z] for x, y in outline for z in (0.0, 7.0)])
+    volumes = [
+        7.0 * np.prod(np.ptp(outline @ rotation_about((0, 0, 1), angle)[:2, :2], axis=0))
+        for angle in np.linspace(0, np.pi / 2, 500)
+    ]
+    volume = np.prod(minimal_box(prism @ random_rotation(rng).T).size_mm)
+    assert max(volumes) > 1.2 * min(volumes)
+    assert 0.99 * min(volumes) < volume < min(volumes) * (1 + 1e-9)
+
+
+def test_the_level_of_detection_is_no_finer_than_the_roughness_of_the_planes(case, found):
+    surfels = found.test.surfels
+    excess = np.sqrt(np.maximum(surfels.roughness_mm**2 - surfels.noise_mm**2, 0))
+    floor = 1.96 * 0.5 * excess
+    level = found.difference.level_mm
+    assert (level >= floor * (1 - 1e-9)).all()
+    assert np.mean(floor > 0.9 * level) > 0  # it is the roughness that decides somewhere

@@ -71,3 +71,14 @@ def test_bad_requests_are_named(rng):
         root_path(groove, 1)
     with pytest.raises(InputError, match="normals"):
         slab_path(points, points[:5])
+
+
+def test_a_slabs_normal_is_the_unit_sum_of_its_points_normals():
+    """Eq 8 by hand: three normals along z and one along x give (1, 0, 3) / sqrt(10)."""
+    along = np.repeat(np.arange(0.0, 40.0, 10.0), 4)
+    points = np.column_stack([along, np.tile([-1.0, 1, -1, 1], 4), np.tile([-0.1, 0.1, 0.1, -0.1], 4)])
+    for first in range(4):
+        normals = np.tile([0, 0, 1.0], (4, 1))
+        normals[first] = [1.0, 0, 0]
+        path = slab_path(points, np.tile(normals, (4, 1)), 4)
+        np.testing.assert_allclose(path.normals, np.tile(np.array([1, 0, 3]) / np.sqrt(10), (4, 1)), atol=1e-12)

@@ -1,6 +1,9 @@
 """The printed numbers are complete, agree with each other where the papers say so, and are checked when loaded."""
 
+import hashlib
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from grindvision import paper
@@ -99,3 +102,36 @@ def test_a_missing_data_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("GRINDVISION_DATA", str(tmp_path / "none"))
     with pytest.raises(FileError, match="GRINDVISION_DATA must name"):
         paper.expected()
+
+
+#: What a row of expected.csv promises; the words around it may change without a new signature.
+PROMISES = ["item", "quantity", "paper", "tolerance", "tolerance_fast", "better"]
+
+
+def signature(path):
+    """Hash of a printed table's text, and of what expected.csv promises."""
+    if path.name != "expected.csv":
+        return hashlib.sha256(path.read_text(encoding="utf-8").encode()).hexdigest()
+    rows = pd.read_csv(path, dtype=str, keep_default_na=False)[PROMISES]
+    return hashlib.sha256("\n".join(",".join(row) for row in rows.itertuples(index=False)).encode()).hexdigest()
+
+
+def test_every_printed_digit_and_every_tolerance_is_signed_off():
+    """A changed file is compared with the paper again, a changed tolerance gets its reason: then sign in the list."""
+    folder = paper.data_folder() / "paper"
+    signed = pd.read_csv(folder / "signed_off.csv", dtype=str)
+    files = sorted(path for path in folder.glob("*.csv") if path.name != "signed_off.csv")
+    assert [path.name for path in files] == sorted(signed["file"])
+    found = {path.name: signature(path) for path in files}
+    assert found == dict(zip(signed["file"], signed["sha256"], strict=True))
+    assert signed["date"].str.fullmatch(r"\d{4}-\d\d-\d\d").all() and signed["why"].str.len().gt(10).all()
+
+
+@pytest.mark.parametrize("name", ["diao2018_table3.csv", "expected.csv"])
+def test_one_digit_more_or_less_is_noticed(damaged, name):
+    before = signature(damaged / name)
+    text = (damaged / name).read_text(encoding="utf-8")
+    at = max(text.rfind(digit) for digit in "12345678") if name != "expected.csv" else text.index("0.1,") + 2
+    changed = text[:at] + str(9 - int(text[at])) + text[at + 1 :]
+    (damaged / name).write_text(changed, encoding="utf-8")
+    assert signature(damaged / name) != before

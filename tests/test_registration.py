@@ -17,7 +17,7 @@ from grindvision.geometry import (
     small_motion,
 )
 from grindvision.vision.change.detection import DetectOptions, detect
-from grindvision.vision.registration import plane_icp
+from grindvision.vision.registration import plane_icp, sac_ia
 from grindvision.vision.registration.agreement import agreeing_share, agreement
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.global_registration import distinct_poses, propose_poses
@@ -25,7 +25,7 @@ from grindvision.vision.registration.icp import icp_generalised, icp_points
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals, solve_definite
 from grindvision.vision.registration.sac_ia import huber, refine_pose, sac_ia_paper
 from grindvision.vision.registration.verification import choose_pose
-from grindvision.vision.surface.keypoints import most_similar
+from grindvision.vision.surface.keypoints import Keypoints, most_similar
 from grindvision.vision.surface.normals import orient_to_viewpoint
 from grindvision.vision.surface.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
 
@@ -348,3 +348,60 @@ def test_a_small_definite_system_is_solved_like_numpy_does(rng):
         factor, right = rng.normal(size=(6, 6)) * 10.0 ** rng.uniform(-3, 3, 6), rng.normal(size=6)
         matrix = factor.T @ factor + 1e-9 * np.diag(np.square(factor).sum(axis=0))
         np.testing.assert_allclose(matrix @ solve_definite(matrix, right), right, atol=1e-6)
+
+
+def scattered(rng, count=60):
+    """Keypoints without meaning: points in a box, random histograms."""
+    up = np.tile([0.0, 0, 1], (count, 1))
+    return Keypoints(rng.uniform(0, 80, (count, 3)), up, rng.normal(size=(count, 33)), 4.0)
+
+
+def test_sac_ia_judges_a_pose_by_hubers_error_of_the_squared_distances(rng):
+    source, target = scattered(rng), scattered(rng)
+    found = sac_ia_paper(source, target, np.random.default_rng(3), iterations=20, refine=False)
+    distances = cKDTree(target.points).query(move_points(found.T_target_source, source.points))[0]
+    assert found.error == pytest.approx(huber(distances**2, 5 * 4.0).mean(), rel=1e-12)
+
+
+def test_sac_ia_keeps_its_samples_a_tenth_of_the_extent_apart(rng, monkeypatch):
+    source, target = scattered(rng), scattered(rng)
+    drawn, draw = [], sac_ia._spread_samples
+
+    def noted(*asked):
+        drawn.append((asked[1], draw(*asked)))
+        return drawn[-1][1]
+
+    monkeypatch.setattr(sac_ia, "_spread_samples", noted)
+    sac_ia_paper(source, target, np.random.default_rng(3), iterations=50, refine=False)
+    assert {asked for asked, _ in drawn} == {0.1 * float(np.linalg.norm(np.ptp(source.points, axis=0)))}
+    for asked, (samples, d_min) in drawn:
+        sides = source.points[samples] - source.points[np.roll(samples, 1)]
+        assert d_min == asked
+        assert np.linalg.norm(sides, axis=1).min() >= asked
+
+
+def test_samples_that_no_points_allow_come_after_the_distance_is_halved(rng):
+    points = rng.uniform(0, 10, (20, 3))
+    samples, d_min = sac_ia._spread_samples(points, 64.0, rng)
+    assert d_min in 64.0 / 2 ** np.arange(1, 12)
+    sides = points[samples] - points[np.roll(samples, 1)]
+    assert np.linalg.norm(sides, axis=1).min() >= d_min
+
+
+def test_point_icp_stops_at_the_first_fall_below_tau_and_not_before(easy, close):
+    start = close @ rigid(rotation_about((0, 0, 1), 0.02), (2.0, 1.0, 0.0))
+    found = icp_points(easy.test[::30], easy.sample[::10], start)
+    falls = -np.diff(found.mean_squares_mm2)
+    assert found.converged and found.iterations > 5
+    assert (falls[:-1] >= 1e-6).all() and falls[-1] < 1e-6
+
+
+def test_plane_icp_goes_on_until_a_step_is_a_thousandth_of_the_noise(prepared, close):
+    good, seen = prepared
+    asked = seen.surfels.points, seen.surfels.normals, good.surfels, close
+    found = icp_planes(*asked)
+    before = icp_planes(*asked, iterations=found.iterations - 1)
+    centre = seen.surfels.points.mean(axis=0)
+    step = move_points(found.T_target_source, centre) - move_points(before.T_target_source, centre)
+    assert found.converged and found.iterations > 2
+    assert np.linalg.norm(step) < 2e-3 * found.rms_mm
