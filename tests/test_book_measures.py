@@ -10,9 +10,9 @@ from grindvision.calibration.statistics import error_statistics
 from grindvision.cell.height_target import HEIGHT_MM, height_sighting
 from grindvision.vision.seam.gfh import AngleHistograms
 from grindvision.vision.seam.seam_path import SeamPath
-from grindvision_book.grooves import overlap_percent
-from grindvision_book.height_study import height_errors, measured_heights
-from grindvision_book.waypoints import waypoint_errors
+from grindvision_book.chapter_02 import height_errors, measured_heights
+from grindvision_book.chapter_10 import overlap_percent
+from grindvision_book.chapter_11.waypoints import waypoint_errors
 
 
 def test_overlap_counts_what_was_found_or_true():
