@@ -1,19 +1,19 @@
-"""Settings of the whole test run: one thread per numerical library, no display, and where real data may be found."""
+"""Settings of the whole test run: pinned arithmetic, no display, and where real data may be found."""
 
 import contextlib
 import io
 import os
-
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-os.environ.setdefault("MPLBACKEND", "Agg")
-
+import runpy
 from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# by its file: it must stand before anything imports NumPy
+runpy.run_path(str(ROOT / "grindvision_book" / "machinery" / "arithmetic.py"))["pin"]()
+os.environ.setdefault("MPLBACKEND", "Agg")
 
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture

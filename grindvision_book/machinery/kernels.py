@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from grindvision.files import write_whole
+from grindvision_book.machinery.arithmetic import PINS, pins
 
 #: A cell that takes longer than this has hung.
 CELL_TIMEOUT_S = 900
@@ -75,10 +76,11 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
 def kernel_environment(fast: bool, threads: int) -> dict[str, str]:
     """Environment of a kernel: the setting, its share of the cores for numerical threads and studies, no chatter."""
     environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
-    pinned = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+    one_thread = {name: "1" for name in PINS if name.endswith("_NUM_THREADS")}
     return environment | {
         "GRINDVISION_FAST": "1" if fast else "0",
-        **dict.fromkeys(pinned, "1"),
+        **pins(environment),
+        **one_thread,
         "NUMBA_NUM_THREADS": str(threads),
         "LOKY_MAX_CPU_COUNT": str(threads),
         "TQDM_DISABLE": "1",
