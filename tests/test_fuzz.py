@@ -241,6 +241,20 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(folder, name, edits):
                 assert found.points.ndim == 2 and found.points.shape[1] == 3 and 0 < len(found) < 2_000_000
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.stl", "solid a\n vertex 1 2 3\n vertex\n vertex 1 8 3\nendsolid\n"),
+        ("a.obj", "v 1 2 3\nv \nv 1 8 3\nv 4 8 3\nf 1 2 3\n"),
+    ],
+)
+def test_a_corner_without_numbers_is_not_passed_over(tmp_path, name, text):
+    """Else the corners behind it would count one less, and belong to other faces."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(GrindvisionError, match=r"1 row\(s\) hold no numbers"):
+        read_cloud(tmp_path / name)
+
+
 WORDS = st.one_of(
     st.sampled_from(
         ["-o", "out", "--unit", "mm", "--seed", "--points", "--json", "--help", "--parameters", "--robot", "--train"]

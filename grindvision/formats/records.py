@@ -90,9 +90,12 @@ def numbers(path: Path, lines: Sequence[str], separator: str | None = None) -> F
     if not lines:
         raise FileError(f"{path}: no points in the file; export the cloud again")
     try:
-        return np.loadtxt(lines, ndmin=2, comments=None, delimiter=separator, quotechar='"')
+        table = np.loadtxt(lines, ndmin=2, comments=None, delimiter=separator, quotechar='"')
     except ValueError as error:
         raise FileError(f"{path}: {_reason(error)}; mend the line or export the cloud again") from None
+    if len(table) != len(lines):
+        raise FileError(f"{path}: {len(lines) - len(table)} row(s) hold no numbers; export the cloud again")
+    return table
 
 
 def content_of_rows(path: Path, rows: Floats, names: Sequence[str]) -> Content:
