@@ -7,6 +7,7 @@ cost more than they bring, spin beside ours, and change last digits.
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,8 @@ Result = TypeVar("Result")
 _blas_lock = threading.Lock()
 _blas_users = 0
 _blas_limit: Any = None
+_blas_libraries: Any = None
+_modules_then = 0
 
 
 @contextmanager
@@ -28,11 +31,9 @@ def one_blas_thread() -> Iterator[None]:
     they had, when the last of several blocks that overlap has ended.
     """
     global _blas_users, _blas_limit
-    from threadpoolctl import ThreadpoolController
-
     with _blas_lock:
         if _blas_users == 0:
-            _blas_limit = ThreadpoolController().select(user_api="blas").limit(limits=1)
+            _blas_limit = _loaded_blas().limit(limits=1)
         _blas_users += 1
     try:
         yield
@@ -41,6 +42,17 @@ def one_blas_thread() -> Iterator[None]:
             _blas_users -= 1
             if _blas_users == 0:
                 _blas_limit.restore_original_limits()
+
+
+def _loaded_blas() -> Any:
+    """Control over the linear algebra libraries; they are sought anew, which takes milliseconds, after an import."""
+    global _blas_libraries, _modules_then
+    from threadpoolctl import ThreadpoolController
+
+    if _modules_then != len(sys.modules):
+        _modules_then = len(sys.modules)
+        _blas_libraries = ThreadpoolController().select(user_api="blas")
+    return _blas_libraries
 
 
 def usable_cores() -> int:

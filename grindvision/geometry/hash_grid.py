@@ -140,6 +140,11 @@ def assign_cells(
     return cell_of_point, keys[order], table_keys, table_cells
 
 
+def count_cells(points: Floats, origin: Floats, per_mm: float) -> int:
+    """How many cells (``assign_cells``) hold a point (N, 3)."""
+    return len(_numbered(points, origin, per_mm)[1])
+
+
 def random_order(keys: Integers, rng: np.random.Generator) -> Integers:
     """Indices (N,) of things with different keys (N,), such as cells, in a random order that the keys alone decide.
 

@@ -169,21 +169,25 @@ def _ridges(sections: list[_Section], shapes: Floats, width: float) -> tuple[Flo
     free_rows = free.transpose(0, 2, 1)
     found = np.linalg.pinv(free_rows @ normal @ free, rcond=1e-12) @ (free_rows @ left[:, :, None])
     heights = found[:, 0] + shapes @ ACROSS_POWERS.T
-    tops = np.array([_middle_of_top(ACROSS, one) for one in heights])
+    tops = _middles_of_tops(ACROSS, heights)
     laterals = np.clip(tops + found[:, 4, 0], -FARTHEST, FARTHEST)
     return laterals * width, np.array([np.interp(top, ACROSS, one) for top, one in zip(tops, heights, strict=True)])
 
 
-def _middle_of_top(across: Floats, heights: Floats) -> float:
-    """Middle of the places (K,) whose heights (K,) come within ``TOP_FRACTION`` of the highest."""
-    level = heights.max() - TOP_FRACTION * abs(heights.max())
-    high = np.flatnonzero(heights >= level)
+def _middles_of_tops(across: Floats, heights: Floats) -> Floats:
+    """Middles (M,) of the places (K,) whose heights (M, K) come within ``TOP_FRACTION`` of the highest of a row."""
+    rows, highest = np.arange(len(heights)), heights.max(axis=1)
+    level = highest - TOP_FRACTION * np.abs(highest)
+    high = heights >= level[:, None]
+    last_place = len(across) - 1
     ends = []
-    for last, beyond in ((high[0], high[0] - 1), (high[-1], high[-1] + 1)):
-        inside = 0 <= beyond < len(across)
-        way = (heights[last] - level) / (heights[last] - heights[beyond]) if inside else 0.0
-        ends.append(across[last] + way * (across[1] - across[0]) * (beyond - last))
-    return float(sum(ends)) / 2
+    for last, step in ((high.argmax(axis=1), -1), (last_place - high[:, ::-1].argmax(axis=1), 1)):
+        inside = (last + step >= 0) & (last + step <= last_place)
+        beyond = heights[rows, np.clip(last + step, 0, last_place)]
+        drop = np.where(inside, heights[rows, last] - beyond, 1.0)
+        way = np.where(inside, (heights[rows, last] - level) / drop, 0.0)
+        ends.append(across[last] + way * (across[1] - across[0]) * step)
+    return (ends[0] + ends[1]) / 2
 
 
 def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:

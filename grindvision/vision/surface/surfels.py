@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import CellGrid, assign_cells, cell_key, cell_origin, find_slot
+from grindvision.geometry.hash_grid import CellGrid, assign_cells, bounds, cell_key, cell_origin, count_cells, find_slot
 from grindvision.kernels import njit
 from grindvision.vision.surface.normals import smallest_eigenpair
 
@@ -83,12 +83,12 @@ def surface_area(points: ArrayLike) -> float:
     Raises:
         DegenerateError: fewer than 10 points, or all in one place.
     """
-    points = np.asarray(points, dtype=float)
-    points = check_points(points, "points", min_points=10)
-    size = float(np.linalg.norm(np.ptp(points, axis=0))) / 70
+    points = np.ascontiguousarray(check_points(points, "points", min_points=10))
+    low, high = bounds(points)
+    size = float(np.linalg.norm(high - low)) / 70
     if not size > 0:
         raise DegenerateError("all points of the cloud coincide; is this the right file?")
-    cells = len(assign_cells(points, cell_origin(points, size), 1.0 / size)[1])
+    cells = count_cells(points, cell_origin(points, size), 1.0 / size)
     return cells * size**2 / 1.5
 
 
