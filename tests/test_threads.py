@@ -3,8 +3,9 @@
 import threading
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from grindvision.parallel import parallel_map
+from grindvision.parallel import one_blas_thread, parallel_map
 
 
 def test_results_come_in_order_as_those_of_map():
@@ -27,3 +28,15 @@ def test_a_process_that_may_use_one_core_starts_no_thread(monkeypatch):
 def test_what_is_raised_comes_through(broken):
     with pytest.raises(ZeroDivisionError):
         parallel_map(lambda number: 1 / (number - broken), range(4))
+
+
+def test_linear_algebra_is_kept_to_one_thread_and_released_every_time():
+    def threads():
+        return {one["filepath"]: one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        for _ in range(2):
+            with one_blas_thread():
+                assert set(threads().values()) == {1}
+            assert threads() == before
