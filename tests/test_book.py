@@ -285,6 +285,7 @@ def test_an_unknown_chapter_is_one_line_and_exit_2():
     assert_one_line(command("book", "--only", "55"), "there is no chapter '55'", "the book has")
 
 
+@pytest.mark.xdist_group("book")  # one build at a time in a checkout
 def test_a_damaged_table_in_data_is_one_line_and_exit_2(tmp_path):
     shutil.copytree(paper.data_folder(), tmp_path / "data")
     damaged = tmp_path / "data" / "paper" / "diao2018_table3.csv"
@@ -293,6 +294,7 @@ def test_a_damaged_table_in_data_is_one_line_and_exit_2(tmp_path):
     assert_one_line(answer, "diao2018_table3.csv", "row 1, column x_mm", "12.3.4")
 
 
+@pytest.mark.xdist_group("book")  # one build at a time in a checkout
 def test_a_missing_table_in_data_is_one_line_and_exit_2(tmp_path):
     shutil.copytree(paper.data_folder(), tmp_path / "data")
     (tmp_path / "data" / "paper" / "expected.csv").unlink()

@@ -179,7 +179,7 @@ def test_an_arm_from_a_table_carries_the_torch(tmp_path, capsys):
     (tmp_path / "pose.json").write_text(json.dumps(np.eye(4).tolist()))
     options = types.SimpleNamespace(
         robot=str(tmp_path / "arm.csv"), scanner_pose=str(tmp_path / "pose.json"), flange=None, program=None,
-        torch_speed=None, table_top=None,
+        torch_speed=None, table_top=None, seed=0, send=None, yes=False, anywhere=False,
     )  # fmt: skip
     robot = robot_job(options).robot
     assert robot.joints == ("J1", "J2") and robot.name == "arm"

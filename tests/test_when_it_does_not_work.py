@@ -382,7 +382,7 @@ def one_bad_row(folder):
     return spheres(folder, table=table)
 
 
-@mistake("The table moved more than a machine can")
+@mistake("A standard DH table")
 def standard_table(folder):
     modified = er3a().table
     standard = np.column_stack([np.roll(modified[:, :2], -1, axis=0), modified[:, 2:]])
@@ -390,7 +390,7 @@ def standard_table(folder):
     return spheres(folder, arm=er3a().with_table(standard))
 
 
-@mistake("Nothing fits")
+@mistake("The table is another arm's")
 def another_arm(folder):
     return spheres(folder, arm=ur5().first(4))
 

@@ -47,6 +47,8 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
         raise DegenerateError(f"all {len(points)} points lie in one spot; they span no surface")
     T_own_cloud = _own_frame(points)
     surfels = build_surfels(_moved(points, T_own_cloud), diagonal * SURFEL_SHARE)
+    if not surfels.normals.any():
+        raise DegenerateError(f"the {len(points)} points span no surface: they lie along lines; scan an area")
     centre = surfels.points.mean(axis=0)
     towards = move_points(T_own_cloud, np.zeros(3) if viewpoint_mm is None else viewpoint_mm)
     normals = _facing(surfels.normals, towards - surfels.points)
