@@ -87,7 +87,7 @@ def test_the_chapter_runs_on_files_of_ones_own(tmp_path):
     scene = pair(seed=11, n_points=40_000, beads=[arc_bead()])
     write_ply(tmp_path / "good.ply", scene.sample)
     write_ply(tmp_path / "test.ply", scene.test)
-    (tmp_path / "pose.json").write_text(json.dumps(np.diag([1.0, -1, -1, 1]).tolist()))
+    (tmp_path / "pose.json").write_text(json.dumps(rigid(np.diag([1.0, -1, -1]), (450, 0, 500)).tolist()))
     given = {"SAMPLE_FILE": "good.ply", "TEST_FILE": "test.ply", "TEST_POSE_FILE": "pose.json", "PATH_POINTS": 4}
     done = papermill.execute_notebook(
         str(next(NOTEBOOKS.glob("12_*.ipynb"))),
