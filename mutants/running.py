@@ -108,6 +108,6 @@ class Laboratory:
             import pytest
 
             asked = ["tests/" + "::".join([f"{name}.py", *test]) for name, *test in (one.split("::") for one in tests)]
-            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *asked]))
+            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *asked]))
         finally:
             os._exit(code)
