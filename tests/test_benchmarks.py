@@ -83,7 +83,8 @@ def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache, monk
     assert {path.suffix for path in tmp_path.glob("bench_detect.*")} == {".csv", ".md", ".svg", ".png"}
     floors = pd.read_csv(tmp_path / "bench_floors.csv")
     assert {"read", "features", "icp", "difference"} <= set(floors["stage"])
-    assert (floors["floor_s"] < floors["measured_s"]).all()
+    assert (floors["floor_s"] > 0).all()
+    assert floors["of_floor"].tolist() == pytest.approx((floors["measured_s"] / floors["floor_s"]).tolist(), rel=1e-4)
 
 
 def test_groove_race_is_judged_by_labels_and_root(cache):
