@@ -178,16 +178,16 @@ def _numbered(
     """As ``assign_cells``, the cells in order of first appearance."""
     cell_of_point = np.empty(len(points), dtype=np.int32)
     keys = np.empty(2048, dtype=np.int64)
-    table_keys, table_cells = grown_table(keys, 0, 2 * len(keys))
+    table = grown_table(keys, 0, 2 * len(keys))
     done = count = 0
     while True:
-        done, count = _enter(points, done, origin, per_mm, keys, count, table_keys, table_cells, cell_of_point)
+        done, count = _enter(points, done, origin, per_mm, keys, count, table, cell_of_point)
         if done == len(points):
-            return cell_of_point, keys[:count].copy(), table_keys, table_cells
+            return cell_of_point, keys[:count].copy(), table[0], table[1]
         more = np.empty(2 * len(keys), dtype=np.int64)
         more[:count] = keys
         keys = more
-        table_keys, table_cells = grown_table(keys, count, 2 * len(keys))
+        table = grown_table(keys, count, 2 * len(keys))
 
 
 @njit(cache=True, nogil=True)
@@ -198,8 +198,7 @@ def _enter(
     per_mm: float,
     keys: Integers,
     count: int,
-    table_keys: Integers,
-    table_cells: NDArray[np.int32],
+    table: tuple[Integers, NDArray[np.int32]],
     cell_of_point: NDArray[np.int32],
 ) -> tuple[int, int]:
     """Number the cells of points from ``first`` on, while there is room for keys: where it stopped, and how many.
@@ -207,6 +206,7 @@ def _enter(
     Arrays that grow are replaced outside: a loop that replaces its arrays counts references in every round. Neighbours
     in a scan's row share a cell: the table is asked when it changes.
     """
+    table_keys, table_cells = table
     last, cell = _EMPTY, 0
     for p in range(first, len(points)):
         i = int((points[p, 0] - origin[0]) * per_mm)

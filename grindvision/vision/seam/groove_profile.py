@@ -117,6 +117,7 @@ def _ramp(x: Floats, rounding: float) -> Floats:
 
 @njit(cache=True, nogil=True)
 def _bin_sums(along: Floats, across: Floats, up: Floats, stations: int, step: float, bins: int, width: float) -> Floats:
+    """Number of points and sums of their ``across`` and ``up`` (3, S, M) over the bins of every station."""
     sums = np.zeros((3, stations, bins))
     for p in range(len(along)):
         s = int(along[p] / step + 0.5)

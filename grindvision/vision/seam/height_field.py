@@ -123,6 +123,7 @@ def field_bounds(points: Floats, frame: Floats) -> tuple[Floats, Floats]:
 
 @njit(cache=True, nogil=True)
 def _cell_means(points: Floats, frame: Floats, cell: float, rows: int, columns: int) -> tuple[Floats, Integers]:
+    """Mean height (R, C) in a field frame (4, 4) of the points (N, 3) over each cell, and their number (R, C)."""
     totals, counts = np.zeros((rows, columns)), np.zeros((rows, columns), np.int64)
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -148,6 +149,7 @@ def _merged(heights: Floats, counts: Integers, factor: int) -> tuple[Floats, Int
 
 @njit(cache=True, nogil=True)
 def _divided(totals: Floats, counts: Integers) -> Floats:
+    """Means (R, C), in place of their totals; NaN where nothing was counted."""
     for i in range(totals.shape[0]):
         for j in range(totals.shape[1]):
             totals[i, j] = totals[i, j] / counts[i, j] if counts[i, j] > 0 else np.nan

@@ -6,6 +6,8 @@ the edges, the rounding of the root and half the width of a flat root, mm.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,14 @@ Floats = NDArray[np.float64]
 ROUNDS, SETTLED = 14, 1e-5
 #: Residuals beyond so many times the expected deviation count linearly (Huber).
 LINEAR_BEYOND = 2.0
+
+
+class Profile(NamedTuple):
+    """The mean profile of one station: places ``across`` and ``up`` (M,) of M bins, mm, and inverse variances (M,)."""
+
+    across: Floats
+    up: Floats
+    weight: Floats
 
 
 @njit(cache=True, nogil=True)
@@ -43,7 +53,8 @@ def fit_stations(
     for s in range(stations):
         theta = fitted[s]
         slopes[1] = across[s]
-        cost = _compare(across[s], up[s], weight[s], theta, shape, noise, slopes, off, share)
+        profile = Profile(across[s], up[s], weight[s])
+        cost = _compare(profile, theta, shape, noise, slopes, off, share)
         cost += _equations(slopes, off, share, theta, start[s], prior[s], normal, force)
         damping = 1e-2
         for _ in range(ROUNDS):
@@ -53,7 +64,7 @@ def fit_stations(
             trial[4] = min(trial[4], trial[5] - gap)
             trial[6] = max(trial[6], trial[5] + gap)
             trial[3] = max(trial[3], 0.0)
-            trial_cost = _compare(across[s], up[s], weight[s], trial, shape, noise, slopes, off, share)
+            trial_cost = _compare(profile, trial, shape, noise, slopes, off, share)
             trial_cost += _equations(slopes, off, share, trial, start[s], prior[s], trial_normal, trial_force)
             settled = damping < 1 and abs(cost - trial_cost) <= SETTLED * cost
             if trial_cost < cost:
@@ -71,24 +82,17 @@ def fit_stations(
             trial_force[k] = 1.0
             _solve(factor, trial_force, trial)
             deviation[s, k] = np.sqrt(max(trial[k], 0.0))
-        _compare(across[s], up[s], weight[s], theta, shape, noise, slopes, off, share)
+        _compare(profile, theta, shape, noise, slopes, off, share)
         spread[s] = np.sqrt((share * off * off).sum() / max(share.sum(), 1e-12))
     return fitted, deviation, spread
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _compare(
-    across: Floats,
-    up: Floats,
-    weight: Floats,
-    theta: Floats,
-    shape: Floats,
-    noise: float,
-    slopes: Floats,
-    off: Floats,
-    share: Floats,
+    profile: Profile, theta: Floats, shape: Floats, noise: float, slopes: Floats, off: Floats, share: Floats
 ) -> float:
     """Huber cost of a profile; writes rows 2 to 6 of ``slopes`` (7, M), and (M,) residuals and their weights."""
+    across, up, weight = profile
     level, tilt, bend, depth, left, root, right = theta
     edge, corner, floor = shape
     a, b = 1 / (root - floor - left), 1 / (right - root - floor)
@@ -159,6 +163,7 @@ def _factorise(normal: Floats, swelling: float, factor: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _solve(factor: Floats, force: Floats, answer: Floats) -> None:
+    """Solve for ``answer`` (7,) by the Cholesky factor (7, 7), lower half, and the right side ``force`` (7,)."""
     for j in range(7):
         value = force[j]
         for m in range(j):

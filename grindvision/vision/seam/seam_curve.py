@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,24 @@ class Strip:
     along: Floats
     across: Floats
     up: Floats
+
+
+class _StationRaster(NamedTuple):
+    """Index of the nearest station of every cell (R, C), -1 beyond the reach; the raster begins at ``corner`` (2,)."""
+
+    nearest: Integers
+    corner: Floats
+    cell: float
+
+
+class _Frames(NamedTuple):
+    """A ``SeamCurve`` as kernels take it."""
+
+    stations: Floats
+    along: Floats
+    across: Floats
+    up: Floats
+    step: float
 
 
 def build_curve(path: Floats, up: Floats, step_mm: float) -> SeamCurve:
@@ -98,14 +117,8 @@ def lay_straight(
     index, place = _curve_coordinates(
         np.ascontiguousarray(points, dtype=float),
         np.ascontiguousarray(T_field_cloud, dtype=float),
-        nearest,
-        corner,
-        cell,
-        curve.stations,
-        curve.along,
-        curve.across,
-        curve.up,
-        curve.step_mm,
+        _StationRaster(nearest, corner, cell),
+        _Frames(curve.stations, curve.along, curve.across, curve.up, curve.step_mm),
         np.array([reach_mm, -below_mm, above_mm]),
     )
     return Strip(index, place[:, 0], place[:, 1], place[:, 2])
@@ -134,18 +147,15 @@ def _paint_nearest(stations: Floats, corner: Floats, cell: float, rows: int, col
 
 @njit(cache=True, nogil=True)
 def _curve_coordinates(
-    points: Floats,
-    frame: Floats,
-    nearest: Integers,
-    corner: Floats,
-    cell: float,
-    stations: Floats,
-    along: Floats,
-    across: Floats,
-    up: Floats,
-    step: float,
-    limits: Floats,
+    points: Floats, frame: Floats, raster: _StationRaster, curve: _Frames, limits: Floats
 ) -> tuple[Integers, Floats]:
+    """Indices (K,) of the points near the curve, and their places (K, 3) along it, across it and above it, mm.
+
+    ``frame`` (4, 4) takes points to the curve's frame; ``limits`` (3,) are the reach across, the lowest and the highest
+    place above the curve.
+    """
+    nearest, corner, cell = raster
+    stations, along, across, up, step = curve
     rows, columns = nearest.shape
     index, place, kept = np.empty(len(points), np.int64), np.empty((len(points), 3)), 0
     for p in range(len(points)):

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
+from grindvision.kernels import njit
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -344,4 +344,5 @@ def _step(
 
 @njit(cache=True, nogil=True, inline="always")
 def _dot(a: Floats, b: Floats) -> float:
+    """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
