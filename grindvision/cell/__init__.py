@@ -25,13 +25,17 @@ from grindvision.cell.spheres import measure_sphere, scan_sphere, sphere_centre_
 from grindvision.cell.views import view_from
 from grindvision.cell.weld_pieces import KINDS, Groove, WeldPiece, weld_piece
 from grindvision.cell.weld_scene import WeldScene, weld_scene
+from grindvision.cell.workpiece_scene import CHANGES, WorkpieceScene, workpiece_scene
+from grindvision.cell.workpieces import WORKPIECES, Workpiece, workpiece
 
 __all__ = [
+    "CHANGES",
     "HEIGHT_MM",
     "JOINTS",
     "KINDS",
     "POSITIONS_MM",
     "SOURCES",
+    "WORKPIECES",
     "Bead",
     "CalibrationExperiment",
     "CalibrationPlan",
@@ -55,6 +59,8 @@ __all__ = [
     "Target",
     "WeldPiece",
     "WeldScene",
+    "Workpiece",
+    "WorkpieceScene",
     "assembled",
     "calibration_experiment",
     "calibration_plan",
@@ -81,4 +87,6 @@ __all__ = [
     "view_from",
     "weld_piece",
     "weld_scene",
+    "workpiece",
+    "workpiece_scene",
 ]

@@ -1,0 +1,172 @@
+"""Detection on parts other than the book's plate: ``python -m benchmarks.workpieces --pairs 24``.
+
+Pairs of scans of random workpieces, with a bead, with a pit and as good, some 10 to 60 deg apart, each with its truth.
+Printed: how many ours solves, refuses and gets wrong, silently (exit 0 and no warning) or not, and the poses that the
+peers find on the same pairs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.cell.workpiece_scene import CHANGES, WorkpieceScene, workpiece_scene
+from grindvision.cell.workpieces import WORKPIECES
+from grindvision.errors import GrindvisionError
+from grindvision.vision.change.detection import DetectOptions, detect
+
+Floats = NDArray[np.float64]
+
+MAX_POSE_MM = 1.0
+"""A pose that moves a point by more is wrong."""
+
+MAX_PATH_MM = 2.0
+"""A path point farther than this from the true ridge is wrong."""
+
+COLUMNS = ("pair", "kind", "change", "determined", "outcome", "pose_mm", "confidence", "seconds", "said")
+
+
+def scene_of(pair: int, seed: int = 0, kinds: tuple[str, ...] = tuple(WORKPIECES)) -> WorkpieceScene:
+    """The pair of that number: kinds and changes in turn, everything else drawn."""
+    kind, change = kinds[pair % len(kinds)], CHANGES[pair // len(kinds) % len(CHANGES)]
+    return workpiece_scene(kind, np.random.default_rng([seed, pair]), change)
+
+
+def judged(scene: WorkpieceScene, options: DetectOptions) -> dict[str, Any]:
+    """What ``detect`` makes of a pair, and the verdict."""
+    started = time.process_time()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            found = detect(scene.sample.points, scene.test.points, options)
+        except GrindvisionError as error:
+            seconds = time.process_time() - started
+            return {"outcome": "refused", "seconds": seconds, "said": str(error)}
+    said = " | ".join(str(one.message) for one in caught)
+    pose_mm = scene.pose_error_mm(found.T_sample_test)
+    fault = _fault(scene, pose_mm, [bead.points for bead in found.beads])
+    outcome = "solved" if not fault else "wrong" if caught else "silently wrong"
+    seconds = time.process_time() - started
+    return {
+        "outcome": outcome,
+        "pose_mm": pose_mm,
+        "confidence": found.confidence,
+        "seconds": seconds,
+        "said": "; ".join(filter(None, (fault, str(found), said))),
+    }
+
+
+def _fault(scene: WorkpieceScene, pose_mm: float, paths: list[Floats]) -> str:
+    """What is wrong with a result, empty where nothing is."""
+    if pose_mm > MAX_POSE_MM:
+        return f"pose {pose_mm:.2f} mm off"
+    if scene.change != "bead":
+        return f"{len(paths)} false bead(s)" if paths else ""
+    for path in paths:
+        away = np.linalg.norm(path[:, None] - scene.ridge_mm[None], axis=2).min(axis=1)
+        if away.max() > MAX_PATH_MM:
+            return f"path point {away.max():.1f} mm off the bead"
+    return "bead missed" if not paths and scene.comparable > 0.8 else ""
+
+
+def open3d_pose(scene: WorkpieceScene) -> Floats:
+    """Open3D's global registration (FPFH and RANSAC) and its point-to-plane ICP, as its tutorial has them."""
+    import open3d as o3d
+
+    o3d.utility.random.seed(0)
+    voxel = 2.5
+    clouds, features = [], []
+    for scan in (scene.test, scene.sample):
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(scan.points)).voxel_down_sample(voxel)
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))
+        cloud.orient_normals_towards_camera_location(np.zeros(3))
+        clouds.append(cloud)
+        search = o3d.geometry.KDTreeSearchParamHybrid(5 * voxel, 100)
+        features.append(o3d.pipelines.registration.compute_fpfh_feature(cloud, search))
+    registration = o3d.pipelines.registration
+    coarse = registration.registration_ransac_based_on_feature_matching(
+        *clouds, *features, True, 1.5 * voxel,
+        registration.TransformationEstimationPointToPoint(False), 3,
+        [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            registration.CorrespondenceCheckerBasedOnDistance(1.5 * voxel),
+        ],
+        registration.RANSACConvergenceCriteria(100_000, 0.999),
+    )  # fmt: skip
+    pose = coarse.transformation
+    for reach in (voxel, 0.4 * voxel):
+        plane = registration.TransformationEstimationPointToPlane()
+        pose = registration.registration_icp(*clouds, reach, pose, plane).transformation
+    return np.asarray(pose)
+
+
+def kiss_matcher_pose(scene: WorkpieceScene) -> Floats:
+    """KISS-Matcher and Open3D's point-to-plane ICP."""
+    import kiss_matcher
+    import open3d as o3d
+
+    voxel = 2.5
+    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel))
+    found = matcher.estimate(scene.test.points.astype(np.float32), scene.sample.points.astype(np.float32))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = found.rotation, np.ravel(found.translation)
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(scan.points)) for scan in (scene.test, scene.sample)]
+    clouds[1].estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))
+    registration = o3d.pipelines.registration
+    for reach in (voxel, 0.4 * voxel):
+        plane = registration.TransformationEstimationPointToPlane()
+        pose = registration.registration_icp(*clouds, reach, pose, plane).transformation
+    return np.asarray(pose)
+
+
+PEERS: dict[str, Callable[[WorkpieceScene], Floats]] = {"open3d": open3d_pose, "kiss-matcher": kiss_matcher_pose}
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the study and print its table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.workpieces", description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=int, default=24, help="how many (default: 24)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="of the scenes (default: 0)")
+    parser.add_argument("--kinds", nargs="+", choices=tuple(WORKPIECES), default=tuple(WORKPIECES))
+    parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=())
+    parser.add_argument("--csv", type=Path, help="a row a pair into this file")
+    options = parser.parse_args(words)
+    rows, peers = [], {name: [] for name in options.peers}
+    for pair in range(options.first, options.first + options.pairs):
+        scene = scene_of(pair, options.seed, tuple(options.kinds))
+        row = {"pair": pair, "kind": scene.piece.kind, "change": scene.change, "determined": scene.determined}
+        rows.append(row | judged(scene, DetectOptions(seed=pair)))
+        print(*(f"{rows[-1].get(name, ''):.3g}" if isinstance(rows[-1].get(name), float) else rows[-1].get(name, "-")
+                for name in COLUMNS), sep="  ", flush=True)  # fmt: skip
+        for name, errors in peers.items():
+            errors.append(scene.pose_error_mm(PEERS[name](scene)))
+    if options.csv:
+        with options.csv.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(rows)
+    determined = [row for row in rows if row["determined"]]
+    for title, some in (("all", rows), ("determined", determined)):
+        counts = Counter(row["outcome"] for row in some)
+        text = ", ".join(f"{name} {counts[name]}" for name in ("solved", "refused", "wrong", "silently wrong"))
+        print(f"{title}: {len(some)} pairs: {text}")
+    for name, errors in peers.items():
+        good = sum(error <= MAX_POSE_MM for error in errors)
+        print(f"{name} (pose alone): right {good}, wrong {len(errors) - good}, median error {np.median(errors):.3g} mm")
+    print(f"ours: pose right {sum(row.get('pose_mm', np.inf) <= MAX_POSE_MM for row in rows)} of {len(rows)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""Two scans of a workpiece: the good part and the test part, with a bead, with a pit or as good, and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from grindvision.cell.grinding_part import STATION_MM, Bead
+from grindvision.cell.rays import target_of
+from grindvision.cell.scan import Scan
+from grindvision.cell.scanners import Scanner, StructuredLightScanner
+from grindvision.cell.solids import Solid
+from grindvision.cell.views import view_from
+from grindvision.cell.workpieces import MARK, Workpiece, workpiece
+from grindvision.errors import InputError
+from grindvision.geometry import inverse, move_points, rotate_vectors
+
+Floats = NDArray[np.float64]
+
+CHANGES = ("bead", "pit", "none")
+"""What the test part differs by."""
+
+DISTANCE_MM = 410.0
+
+ENOUGH = 30
+"""A mark that both scans see with fewer points than this fixes no pose."""
+
+SAME_SPOT_MM = 1.5
+
+
+@dataclass(frozen=True)
+class WorkpieceScene:
+    """Scans of the good part, ``sample``, and of the ``test`` part, each in its own scanner frame (mm).
+
+    Truth: ``T_sample_test`` (4, 4); ``ridge_mm`` and ``ridge_normals`` (K, 3) of the bead, or the bottom of the pit, in
+    the frame of the test scan, empty where there is none; ``good`` the good part's mesh in the sample's scanner frame;
+    ``determined``: both scans show what fixes the pose.
+    """
+
+    piece: Workpiece
+    change: str
+    sample: Scan
+    test: Scan
+    T_sample_test: Floats
+    ridge_mm: Floats
+    ridge_normals: Floats
+    good: Solid
+    determined: bool
+
+    def pose_error_mm(self, T_sample_test: Floats) -> float:
+        """Largest distance between a test point's place by this pose and its true place."""
+        points = self.test.true_points[::10]
+        away = move_points(T_sample_test, points) - move_points(self.T_sample_test, points)
+        return float(np.linalg.norm(away, axis=1).max())
+
+    @property
+    def comparable(self) -> float:
+        """Fraction of the changed place's length at which both scans saw the surface beside it."""
+        if len(self.ridge_mm) == 0:
+            return float("nan")
+        seen = cKDTree(self.sample.true_points)
+        away, _ = seen.query(move_points(self.T_sample_test, self.ridge_mm))
+        there, _ = cKDTree(self.test.true_points).query(self.ridge_mm)
+        return float(np.mean((away < 2.5) & (there < 1.0)))
+
+    def __str__(self) -> str:
+        return f"{self.piece.kind}, {self.change}: sample {len(self.sample):,} points, test {len(self.test):,} points"
+
+
+def workpiece_scene(
+    kind: str,
+    rng: np.random.Generator,
+    change: str = "bead",
+    apart_deg: tuple[float, float] = (10.0, 60.0),
+    scanner: Scanner | None = None,
+    every: int = 4,
+) -> WorkpieceScene:
+    """Scan a good and a changed workpiece from two places whose lines of sight differ by an angle within ``apart_deg``.
+
+    Args:
+        kind: one of ``workpieces.WORKPIECES``.
+        rng: draws the sizes, the instrument (its serial), the views and the noise.
+        change: one of ``CHANGES``; a bead is 20 to 30 mm long, 3 to 5 mm wide and 0.8 to 1.8 mm high, a pit as deep.
+        scanner: a structured-light scanner when left out; one that is given keeps its serial.
+        every: pixel step; 4 gives points some 0.8 mm apart.
+
+    Raises:
+        InputError: unknown kind or change, angles out of range. SightError: the scanner does not reach the part.
+    """
+    if change not in CHANGES:
+        raise InputError(f"no change {change!r}; there are {', '.join(CHANGES)}")
+    low, high = apart_deg
+    if not 0 <= low <= high <= 90:
+        raise InputError(f"apart_deg is {low} to {high}; choose a range within 0 to 90")
+    piece = workpiece(kind, rng)
+    good = piece.shape.solid()
+    bad, ridge, normals = _changed(piece, good, change, rng)
+    scanner = scanner or StructuredLightScanner(serial=int(rng.integers(2**31)))
+    # both scanners stand half of the angle off the part's own z axis, or nearly so
+    half, azimuth = np.radians(rng.uniform(low, high)) / 2, rng.uniform(0, 2 * np.pi)
+    middle = (good.vertices_mm.min(axis=0) + good.vertices_mm.max(axis=0)) / 2
+    poses = [
+        view_from(middle + rng.uniform(-4, 4, 3), DISTANCE_MM, half, azimuth + side, rng.uniform(-np.pi / 2, np.pi / 2))
+        for side in (0.0, np.pi)
+    ]
+    sample = scanner.scan(target_of(good), poses[0], rng, every)
+    test = scanner.scan(target_of(bad), poses[1], rng, every)
+    T_sample_part, T_test_part = inverse(poses[0]), inverse(poses[1])
+    return WorkpieceScene(
+        piece, change, sample, test, T_sample_part @ poses[1],
+        move_points(T_test_part, ridge), rotate_vectors(T_test_part, normals),
+        good.moved(T_sample_part), not piece.marked or _mark_shared(sample, test),
+    )  # fmt: skip
+
+
+def _changed(piece: Workpiece, good: Solid, change: str, rng: np.random.Generator) -> tuple[Solid, Floats, Floats]:
+    """The test part, and the ridge of its bead (or the bottom of its pit) with the surface normals there."""
+    if change == "none":
+        return good, np.empty((0, 3)), np.empty((0, 3))
+    length, width, height = rng.uniform(20, 30), rng.uniform(3, 5), rng.uniform(0.8, 1.8)
+    start, end = np.array(piece.seat)
+    middle, ahead = (start + end) / 2, (end - start) / np.linalg.norm(end - start)
+    s = np.linspace(-length / 2, length / 2, int(length / STATION_MM) + 1)
+    bow = rng.uniform(-1 / 60, 1 / 60) * s**2 / 2
+    plan = middle + s[:, None] * ahead + bow[:, None] * np.array([-ahead[1], ahead[0]])
+    places, normals = _upper_face(good, plan)
+    sign = 1.0 if change == "bead" else -1.0
+    ridge = places + sign * height * normals
+    shape = Bead(ridge, sign * normals, width, height).shape()
+    whole = piece.shape + shape if change == "bead" else piece.shape - shape
+    return whole.solid(), ridge, normals
+
+
+def _upper_face(solid: Solid, plan: Floats) -> tuple[Floats, Floats]:
+    """Places (K, 3) of the solid's upper face over the plan (K, 2), smoothed, and the unit normals (K, 3) there."""
+    target = target_of(solid)
+    above = solid.vertices_mm[:, 2].max() + 10.0
+    hits = [target.cast(np.array([*place, above]), np.array([[0.0, 0.0, -1.0]])) for place in plan]
+    heights = np.array([above - hit.distance[0] for hit in hits])
+    normals = np.array([target.normals[hit.triangle[0]] for hit in hits])
+    for _ in range(20):  # the facets of a curved face
+        for values in (heights, normals):
+            values[1:-1] = (values[:-2] + 2 * values[1:-1] + values[2:]) / 4
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([plan, heights]), normals
+
+
+def _mark_shared(sample: Scan, test: Scan) -> bool:
+    """Whether both scans show enough of one spot of the mark."""
+    if MARK not in sample.surfaces or MARK not in test.surfaces:
+        return False
+    first, second = (move_points(scan.T_world_scanner, scan.true_points[scan.on(MARK)]) for scan in (sample, test))
+    if min(len(first), len(second)) < ENOUGH:
+        return False
+    away, _ = cKDTree(first).query(second, distance_upper_bound=SAME_SPOT_MM)
+    return bool(np.isfinite(away).sum() >= ENOUGH)
