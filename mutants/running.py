@@ -103,7 +103,7 @@ class Laboratory:
             log = os.open(self.place / "last.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(log, 1)
             os.dup2(log, 2)
-            sys.path[:0] = [str(self.place), str(self.place / "tests")]
+            sys.path.insert(0, str(self.place))
             os.environ["PYTHONPATH"] = str(self.place)
             import pytest
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from grindvision.arm import MdhArm, read_arm
 from grindvision.calibration import Measurements, ScannerOnArm
@@ -81,3 +82,15 @@ def rig(
     tracker = cell.points_tracker(moved, points) + (noise_mm if on_tool else 0) * rng.normal(size=points.shape)
     train = np.arange(len(q)) < rows
     return Rig(arm, cell, Measurements(q, seen, tracker, train=train))
+
+
+def as_table(measurements: Measurements, split: bool = True) -> pd.DataFrame:
+    columns = [f"q{i + 1}_rad" for i in range(measurements.q_rad.shape[1])]
+    columns += [f"{frame}{axis}_mm" for frame in "sb" for axis in "xyz"]
+    numbers = np.hstack([measurements.q_rad, measurements.scanner_mm, measurements.tracker_mm])
+    table = pd.DataFrame(numbers, columns=columns)
+    table.insert(0, "pose", measurements.pose)
+    table.insert(1, "sphere", measurements.sphere)
+    if split:
+        table["split"] = np.where(measurements.train, "train", "test")
+    return table

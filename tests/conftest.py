@@ -37,7 +37,7 @@ def real_data():
 
 @pytest.fixture(scope="session")
 def _site_and_warnings(tmp_path_factory):
-    from built_site import build_whole_site
+    from tests.built_site import build_whole_site
 
     complaints = io.StringIO()
     with contextlib.redirect_stderr(complaints):

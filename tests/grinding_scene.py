@@ -93,3 +93,20 @@ def pair(
     sample = scan(surface, T_sample_part, n_points, rng, (), noise_mm, (-100, 100 - cut / 2, -70, 70))
     test = scan(surface, T_test_part, n_points, rng, beads, noise_mm, (-100 + cut / 2, 100, -70, 70))
     return Pair(sample, test, T_sample_part @ inverse(T_test_part), T_test_part)
+
+
+def on_a_table(half_mm, n_points=60_000, turn_rad=0.0):
+    """Scans of the part without and with its bead, lying on a plane 25 mm below; turned on it in between."""
+
+    def surface(angle, beads):
+        def height(x, y):
+            u, v = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+            inside = (np.abs(u) < 100) & (np.abs(v) < 70)
+            u, v = np.clip(u, -100, 100), np.clip(v, -70, 70)
+            return np.where(inside, plate_height(u, v) + sum(bead.height(u, v) for bead in beads), -25.0)
+
+        return height
+
+    rng, window = np.random.default_rng(3), (-half_mm[0], half_mm[0], -half_mm[1], half_mm[1])
+    sample = scan(surface(0.0, ()), view(0.15, (1.0, 0.3, 0.0)), n_points, rng, window=window)
+    return sample, scan(surface(turn_rad, [arc_bead()]), view(0.3, (0.2, -0.5, 0.4)), n_points, rng, window=window)

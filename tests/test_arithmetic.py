@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair
 
 from grindvision.vision import detect
 from grindvision_book.machinery.arithmetic import PINS, pins
+from tests.grinding_scene import arc_bead, pair
 
 
 def moved(points, rng):

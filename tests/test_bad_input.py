@@ -19,8 +19,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from grinding_scene import arc_bead, pair
-from groove_scenes import straight_groove
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -30,8 +28,9 @@ from grindvision.clouds import read_cloud, write_ply
 from grindvision.errors import GrindvisionError
 from grindvision.geometry import move_points
 from grindvision.result_set import LOCK, write_set
-from tests.calibration_rig import er3a, rig
-from tests.test_calibration_input import as_table
+from tests.calibration_rig import as_table, er3a, rig
+from tests.grinding_scene import arc_bead, pair
+from tests.groove_scenes import straight_groove
 
 CLOUDS = ("a.ply", "b.ply", "a.pcd", "b.pcd", "c.pcd", "a.xyz", "a.csv", "a.npy", "a.npz", "a.stl", "a.obj")
 quickly = settings(

@@ -7,7 +7,6 @@ from urllib.parse import unquote, urlsplit
 import pandas as pd
 import pytest
 import yaml
-from built_site import SAID, Page
 
 from grindvision_book.machinery.answers import scoreboard
 from grindvision_book.machinery.chapters import chapters
@@ -16,6 +15,7 @@ from grindvision_book.site.chapter_pages import scoreboard_html
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
 from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
 from grindvision_book.site.scenes import SCENES
+from tests.built_site import SAID, Page
 
 pytestmark = pytest.mark.xdist_group("site")
 

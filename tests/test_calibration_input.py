@@ -12,19 +12,7 @@ from grindvision.calibration import Measurements, Options, calibrate, cross_vali
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError, UnitError
 from grindvision.geometry import inverse, move_points
-from tests.calibration_rig import er3a, rig, ur5
-
-
-def as_table(measurements: Measurements, split: bool = True) -> pd.DataFrame:
-    columns = [f"q{i + 1}_rad" for i in range(measurements.q_rad.shape[1])]
-    columns += [f"{frame}{axis}_mm" for frame in "sb" for axis in "xyz"]
-    numbers = np.hstack([measurements.q_rad, measurements.scanner_mm, measurements.tracker_mm])
-    table = pd.DataFrame(numbers, columns=columns)
-    table.insert(0, "pose", measurements.pose)
-    table.insert(1, "sphere", measurements.sphere)
-    if split:
-        table["split"] = np.where(measurements.train, "train", "test")
-    return table
+from tests.calibration_rig import as_table, er3a, rig, ur5
 
 
 @pytest.fixture

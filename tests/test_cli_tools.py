@@ -14,12 +14,11 @@ import types
 import numpy as np
 import pandas as pd
 import pytest
-from groove_scenes import straight_groove
 
 from grindvision.cli import COMMANDS, main
 from grindvision.clouds import write_ply
-from tests.calibration_rig import er3a, rig
-from tests.test_calibration_input import as_table
+from tests.calibration_rig import as_table, er3a, rig
+from tests.groove_scenes import straight_groove
 
 TOOLS = ("detect", "groove", "calibrate", "calibrate-field", "simulate")
 

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair, plate_height
 
 from grindvision.cli import main
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.geometry import angle_between, inverse, move_points, random_rotation, rigid
 from grindvision.vision.depth_calibration.field_correction import FieldCorrection, write_field
+from tests.grinding_scene import arc_bead, pair, plate_height
 
 
 @pytest.fixture(scope="module")

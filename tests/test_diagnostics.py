@@ -5,7 +5,6 @@ import warnings
 
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair, plate_height, scan, view
 
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.geometry import move_points, random_rotation, rigid
@@ -13,6 +12,7 @@ from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.registration import verification
 from grindvision.vision.surface.dominant_plane import plane_fraction
 from grindvision.vision.surface.surfels import build_surfels
+from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 
 
 @pytest.fixture(scope="module")
@@ -121,23 +121,6 @@ def test_real_scans_of_one_part_raise_no_doubt(real_data):
 
     scans = [read_cloud(real_data(name), "m").points for name in ("bun000.ply", "bun045.ply")]
     assert detect(*scans).beads == () == detect(*scans[::-1]).beads
-
-
-def on_a_table(half_mm, n_points=60_000, turn_rad=0.0):
-    """Scans of the part without and with its bead, lying on a plane 25 mm below; turned on it in between."""
-
-    def surface(angle, beads):
-        def height(x, y):
-            u, v = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
-            inside = (np.abs(u) < 100) & (np.abs(v) < 70)
-            u, v = np.clip(u, -100, 100), np.clip(v, -70, 70)
-            return np.where(inside, plate_height(u, v) + sum(bead.height(u, v) for bead in beads), -25.0)
-
-        return height
-
-    rng, window = np.random.default_rng(3), (-half_mm[0], half_mm[0], -half_mm[1], half_mm[1])
-    sample = scan(surface(0.0, ()), view(0.15, (1.0, 0.3, 0.0)), n_points, rng, window=window)
-    return sample, scan(surface(turn_rad, [arc_bead()]), view(0.3, (0.2, -0.5, 0.4)), n_points, rng, window=window)
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.5])

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, view
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
@@ -26,6 +25,7 @@ from grindvision.vision.change.oriented_box import box_path, minimal_box
 from grindvision.vision.change.ridge_path import trace_bead
 from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import build_surfels
+from tests.grinding_scene import Bead, arc_bead, pair, plate_height, ring_bead, scan, view
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,6 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_bad_input import blank_pictures, command, good, obeys, quickly  # noqa: F401  fixtures
 
 from grindvision import result_set
 from grindvision.cli import main
@@ -31,6 +30,7 @@ from grindvision.interrupts import Interrupted, ending_signals_interrupt, undist
 from grindvision.result_set import write_set
 from grindvision_book.machinery.figures import markdown_table
 from grindvision_book.studies.rows import RowsFile
+from tests.test_bad_input import blank_pictures, command, good, obeys, quickly  # noqa: F401  fixtures
 
 # What is no plain file
 

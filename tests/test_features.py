@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from grinding_scene import pair, plate_height, scan, view
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
@@ -17,6 +16,7 @@ from grindvision.vision.surface.normals import (
     smallest_eigenpair,
 )
 from grindvision.vision.surface.surfels import build_surfels, surface_area
+from tests.grinding_scene import pair, plate_height, scan, view
 
 
 def plain_fpfh(points, normals, radius):

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from test_bad_input import pcd
 
 from grindvision.arm import read_arm
 from grindvision.arm.urdf_chain import urdf_chain
@@ -29,6 +28,7 @@ from grindvision.files import read_json, read_toml
 from grindvision.result_set import write_set
 from grindvision.vision.depth_calibration.field_correction import read_field
 from grindvision_book.studies.rows import RowsFile
+from tests.test_bad_input import pcd
 
 DRAWN = int(os.environ.get("GRINDVISION_FUZZ", 0))
 POINTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32).astype(float) * 30

@@ -1,9 +1,7 @@
 """Grooves are found where they are: known shapes, any frame and order, nothing invented, bad input named."""
 
 import numpy as np
-import plain_profile
 import pytest
-from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
@@ -14,6 +12,8 @@ from grindvision.vision.seam.groove import find_grooves
 from grindvision.vision.seam.groove_profile import Corners, Sections, fit_profiles, profile_height
 from grindvision.vision.seam.height_field import closed, coarser, rasterise, smoothed
 from grindvision.vision.seam.seam_curve import build_curve, lay_straight
+from tests import plain_profile
+from tests.groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 
 @pytest.mark.parametrize("kind", ["line", "curve", "box", "cylinder"])

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from groove_scenes import cloud, grid, straight_groove, vee
 from scipy.spatial.transform import Rotation
 
 from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.vision.seam.weld import trace_weld
+from tests.groove_scenes import cloud, grid, straight_groove, vee
 
 
 @pytest.fixture

@@ -4,11 +4,11 @@ import warnings
 
 import numpy as np
 import pytest
-from groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 from grindvision.cell import weld_scene
 from grindvision.errors import GrindvisionWarning
 from grindvision.vision.seam.weld import trace_weld
+from tests.groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 
 def gap(rng, gap_mm, high_mm, noise_mm, shadow=0.0):

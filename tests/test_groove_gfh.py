@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from groove_scenes import overlap, straight_groove
 
 from grindvision.cell import weld_scene
 from grindvision.errors import DegenerateError, InputError, NoGrooveError
@@ -10,6 +9,7 @@ from grindvision.vision.seam.gfh import angle_histograms, base_normal, groove_fe
 from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
 from grindvision.vision.seam.mls import smooth_mls
 from grindvision.vision.surface.clustering import euclidean_clusters
+from tests.groove_scenes import overlap, straight_groove
 
 
 @pytest.fixture

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from groove_scenes import cloud, grid, straight_groove, vee
 
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError
 from grindvision.vision.seam.groove import find_grooves
 from grindvision.vision.seam.seam_path import descended_median, root_path, slab_path, weiszfeld_median
+from tests.groove_scenes import cloud, grid, straight_groove, vee
 
 
 def test_way_points_lie_on_the_root_at_equal_distances(rng):

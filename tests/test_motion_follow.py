@@ -2,16 +2,6 @@ import re
 
 import numpy as np
 import pytest
-from motion_scene import (
-    ER3A_TABLE,
-    distance,
-    grinder,
-    ring,
-    s_trajectory,
-    shifted,
-    ur3_flange_mm,
-    welder,
-)
 
 from grindvision.arm import read_arm
 from grindvision.errors import CollisionError, InputError, UnreachableError
@@ -31,6 +21,16 @@ from grindvision.motion import (
     start_angles,
     table,
     time_law,
+)
+from tests.motion_scene import (
+    ER3A_TABLE,
+    distance,
+    grinder,
+    ring,
+    s_trajectory,
+    shifted,
+    ur3_flange_mm,
+    welder,
 )
 
 

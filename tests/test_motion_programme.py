@@ -4,13 +4,13 @@ import re
 
 import numpy as np
 import pytest
-from motion_scene import ER3A_TABLE, distance, grinder, ring, s_trajectory, ur3_flange_mm, welder
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from grindvision.arm import forward, read_arm
 from grindvision.errors import FileError, InputError
 from grindvision.motion import plan_motion, urscript, write_programme
+from tests.motion_scene import ER3A_TABLE, distance, grinder, ring, s_trajectory, ur3_flange_mm, welder
 
 #: How near a programme read back must come to the trajectory.
 NEAR_MM, NEAR_DEG = 0.05, 0.1

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from motion_scene import ER3A_TABLE, distance, grinder, ur3_flange_mm, welder
 
 from grindvision.arm import forward, read_arm
 from grindvision.errors import FileError, InputError
@@ -13,6 +12,7 @@ from grindvision.motion import (
     urdf_robot,
     welding_torch,
 )
+from tests.motion_scene import ER3A_TABLE, distance, grinder, ur3_flange_mm, welder
 
 LINK = '<link name="{}"/>'
 JOINT = (

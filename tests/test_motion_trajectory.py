@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from motion_scene import ring, s_trajectory, seam
 from scipy.spatial.transform import Rotation
 
 from grindvision.errors import DegenerateError, InputError, NotRigidError
 from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors, vector_angle
 from grindvision.motion import Trajectory, tool_trajectory
+from tests.motion_scene import ring, s_trajectory, seam
 
 
 def test_tool_points_into_the_surface_and_x_runs_along_the_seam():

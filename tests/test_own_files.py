@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from grinding_scene import arc_bead, pair
-from groove_scenes import cloud, grid
 
 from grindvision.clouds import write_ply
 from grindvision.errors import InputError
@@ -15,6 +13,8 @@ from grindvision.geometry import move_points, random_rotation, rigid, rotate_vec
 from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES
 from grindvision_book import chapter_12
 from grindvision_book.machinery.places import NOTEBOOKS
+from tests.grinding_scene import arc_bead, pair
+from tests.groove_scenes import cloud, grid
 
 
 def test_files_are_all_given_or_all_simulated(tmp_path):

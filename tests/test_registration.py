@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from grinding_scene import pair, plate_height, scan, view
 from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, InputError
@@ -28,6 +27,7 @@ from grindvision.vision.registration.verification import choose_pose
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 from grindvision.vision.surface.normals import orient_to_viewpoint
 from grindvision.vision.surface.scan import choose_resolution, prepare_pair, prepare_scan, reversed_scan
+from tests.grinding_scene import pair, plate_height, scan, view
 
 
 def errors(T_found, T_true, at):

@@ -3,7 +3,6 @@ import json
 
 import numpy as np
 import pytest
-from motion_scene import seam
 
 from grindvision.cell import weld_scene
 from grindvision.cli import main
@@ -11,6 +10,7 @@ from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_j
 from grindvision.errors import FileError, InputError, NotRigidError
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
 from grindvision.motion import tool_trajectory
+from tests.motion_scene import seam
 
 #: A scanner half a metre above the table that looks straight down.
 T_BASE_SCANNER = rigid(np.diag([1.0, -1.0, -1.0]), [310.0, 0.0, 500.0])

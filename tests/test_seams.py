@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from groove_scenes import straight_groove
-from seam_scenes import butt, corner, outside, step, tube_on_plate, turned
 
 from grindvision.errors import InputError, NoGrooveError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS, kinds_of
 from grindvision.vision.seam.seams import find_seams
+from tests.groove_scenes import straight_groove
+from tests.seam_scenes import butt, corner, outside, step, tube_on_plate, turned
 
 #: From where the scenes are seen: over the base, in front of the wall.
 EYE = np.array([20.0, -220.0, 320.0])

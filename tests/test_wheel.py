@@ -13,10 +13,9 @@ import pytest
 from grindvision import __version__
 from grindvision.arm import write_arm
 from grindvision.clouds import write_ply
-from tests.calibration_rig import er3a, rig
+from tests.calibration_rig import as_table, er3a, rig
 from tests.grinding_scene import arc_bead, pair
 from tests.groove_scenes import straight_groove
-from tests.test_calibration_input import as_table
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_CORE = [

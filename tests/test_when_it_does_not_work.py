@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grinding_scene import arc_bead, pair, plate_height, scan, view
-from groove_scenes import cloud, grid, straight_groove, vee
 
 import grindvision_book
 from grindvision.arm import read_arm, write_arm
@@ -18,9 +16,9 @@ from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.geometry import rigid, rotation_about
 from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, LEAST_WALL_SLOPE
-from tests.calibration_rig import ROBOT, er3a, rig, ur5
-from tests.test_calibration_input import as_table
-from tests.test_diagnostics import on_a_table
+from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
+from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
+from tests.groove_scenes import cloud, grid, straight_groove, vee
 
 PAGE = Path(grindvision_book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
