@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import STATION_MM, Bead
 from grindvision.cell.rays import target_of
-from grindvision.cell.scan import Scan
+from grindvision.cell.scan import NO_SURFACE, Scan
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.cell.solids import Solid
 from grindvision.cell.views import view_from
@@ -25,10 +25,14 @@ CHANGES = ("bead", "pit", "none")
 
 DISTANCE_MM = 410.0
 
-ENOUGH = 30
+ENOUGH = 20
 """A mark that both scans see with fewer points than this fixes no pose."""
 
-SAME_SPOT_MM = 1.5
+SAME_SPOT_MM, COS_SAME = 1.5, 0.9
+"""Both scans saw a spot where their true points and normals are so near."""
+
+LEAST_FIXED = 0.001
+"""A motion is fixed when the mean square of what it moves across the surface is this share of the motion's at least."""
 
 
 @dataclass(frozen=True)
@@ -99,12 +103,15 @@ def workpiece_scene(
     good = piece.shape.solid()
     bad, ridge, normals = _changed(piece, good, change, rng)
     scanner = scanner or StructuredLightScanner(serial=int(rng.integers(2**31)))
-    # both scanners stand half of the angle off the part's own z axis, or nearly so
-    half, azimuth = np.radians(rng.uniform(low, high)) / 2, rng.uniform(0, 2 * np.pi)
+    # both scanners stand as far off the part's own z axis, so that they see its walls
+    half = np.radians(rng.uniform(low, high)) / 2
+    tilt = rng.uniform(np.radians(38), np.radians(52))
+    side = 2 * np.arcsin(np.sin(half) / np.sin(tilt))
+    azimuth = rng.uniform(0, 2 * np.pi)
     middle = (good.vertices_mm.min(axis=0) + good.vertices_mm.max(axis=0)) / 2
     poses = [
-        view_from(middle + rng.uniform(-4, 4, 3), DISTANCE_MM, half, azimuth + side, rng.uniform(-np.pi / 2, np.pi / 2))
-        for side in (0.0, np.pi)
+        view_from(middle + rng.uniform(-4, 4, 3), DISTANCE_MM, tilt, about, rng.uniform(-np.pi / 2, np.pi / 2))
+        for about in (azimuth, azimuth + side)
     ]
     sample = scanner.scan(target_of(good), poses[0], rng, every)
     test = scanner.scan(target_of(bad), poses[1], rng, every)
@@ -112,7 +119,7 @@ def workpiece_scene(
     return WorkpieceScene(
         piece, change, sample, test, T_sample_part @ poses[1],
         move_points(T_test_part, ridge), rotate_vectors(T_test_part, normals),
-        good.moved(T_sample_part), not piece.marked or _mark_shared(sample, test),
+        good.moved(T_sample_part), _determined(piece, sample, test),
     )  # fmt: skip
 
 
@@ -148,12 +155,25 @@ def _upper_face(solid: Solid, plan: Floats) -> tuple[Floats, Floats]:
     return np.column_stack([plan, heights]), normals
 
 
-def _mark_shared(sample: Scan, test: Scan) -> bool:
-    """Whether both scans show enough of one spot of the mark."""
-    if MARK not in sample.surfaces or MARK not in test.surfaces:
+def _determined(piece: Workpiece, sample: Scan, test: Scan) -> bool:
+    """Whether what both scans saw fixes the pose: no motion slides along all of it, and the mark is among it."""
+    spots, facing = (
+        [rotate_or_move(scan.T_world_scanner, values) for scan, values in zip((sample, test), pair, strict=True)]
+        for rotate_or_move, pair in (
+            (move_points, (sample.true_points, test.true_points)),
+            (rotate_vectors, (sample.true_normals, test.true_normals)),
+        )
+    )
+    away, near = cKDTree(spots[0]).query(spots[1], distance_upper_bound=SAME_SPOT_MM)
+    shared = np.isfinite(away)
+    shared[shared] = (facing[0][near[shared]] * facing[1][shared]).sum(axis=1) > COS_SAME
+    if shared.sum() < ENOUGH or (piece.marked and (shared & (test.surface_id == _mark_id(test))).sum() < ENOUGH):
         return False
-    first, second = (move_points(scan.T_world_scanner, scan.true_points[scan.on(MARK)]) for scan in (sample, test))
-    if min(len(first), len(second)) < ENOUGH:
-        return False
-    away, _ = cKDTree(first).query(second, distance_upper_bound=SAME_SPOT_MM)
-    return bool(np.isfinite(away).sum() >= ENOUGH)
+    arms = spots[1][shared] - spots[1][shared].mean(axis=0)
+    arms /= np.sqrt((arms**2).sum(axis=1).mean())
+    jacobian = np.column_stack([facing[1][shared], np.cross(arms, facing[1][shared])])
+    return bool(np.linalg.eigvalsh(jacobian.T @ jacobian / len(jacobian))[0] > LEAST_FIXED)
+
+
+def _mark_id(scan: Scan) -> int:
+    return scan.surfaces.index(MARK) if MARK in scan.surfaces else NO_SURFACE - 1
