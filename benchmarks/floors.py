@@ -63,9 +63,9 @@ def floors(plan: Plan, rounds: int = 5) -> tuple[pd.DataFrame, list[str]]:
         taken: list[dict[str, float]] = []
         for _ in range(rounds + 1):
             lap = Laps()
-            clouds = [read_cloud(case.inputs[of]).points for of in ("sample", "test")]
+            sample, test = (read_cloud(case.inputs[of]).points for of in ("sample", "test"))
             lap("read")
-            found = detect(*clouds)
+            found = detect(sample, test)
             taken.append({**lap.laps_s, **found.timings_s})
         del taken[0]  # the warm-up
         work = least_work(found)

@@ -74,7 +74,7 @@ def _mean_errors(table: pd.DataFrame) -> list[tuple[str, str, float, float]]:
 
 
 def _grooves(table: pd.DataFrame) -> list[tuple[str, str, float, float]]:
-    rows = []
+    rows: list[tuple[str, str, float, float]] = []
     for piece in dict.fromkeys(table["case"]):
         own = table[table["case"] == piece].set_index("racer")
         if "PCL, fastest" not in own.index:

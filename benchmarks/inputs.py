@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -13,12 +14,15 @@ import pandas as pd
 from benchmarks.racing import Arrays, Case
 from grindvision import cell, paper
 from grindvision.cell import StructuredLightScanner
+from grindvision.cell.scanners import Scanner
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.files import write_text, write_whole
 from grindvision.geometry import move_points, rigid, rotation_about
 from grindvision.vision.surface.normals import estimate_normals
 from grindvision.vision.surface.voxel_grid import voxel_grid
 from grindvision_book.machinery.places import BUILD
+
+AnyScanner = TypeVar("AnyScanner", bound=Scanner)
 
 CACHE = BUILD / "benchmarks"
 
@@ -67,6 +71,10 @@ def difference_cases(size: str, count: int, seed: int) -> list[Case]:
     return [_aligned(case) for case in detection_cases(size, count, seed)]
 
 
+def _points_of(file: str) -> Arrays:
+    return {"points": read_cloud(file).points}
+
+
 def voxel_cases(size: str, count: int, seed: int) -> list[Case]:
     """Single scans."""
     files = [case.inputs["sample"] for case in detection_cases(size, count, seed)]
@@ -75,7 +83,7 @@ def voxel_cases(size: str, count: int, seed: int) -> list[Case]:
             size,
             Path(file).stat().st_size // 12,
             {"cloud": file},
-            lambda file=file: {"points": read_cloud(file).points},
+            partial(_points_of, file),
         )
         for file in files
     ]
@@ -114,9 +122,9 @@ def scanner(pixels: float, serial: int) -> StructuredLightScanner:
     return _finer(StructuredLightScanner(serial=serial), pixels)
 
 
-def _finer(one: cell.Scanner, pixels: float) -> cell.Scanner:
-    size = {name: round(getattr(one, name) * pixels) for name in ("columns", "rows")}
-    return replace(one, **size, focal_px=one.focal_px * pixels)
+def _finer(one: AnyScanner, pixels: float) -> AnyScanner:
+    columns, rows = round(one.columns * pixels), round(one.rows * pixels)
+    return replace(one, columns=columns, rows=rows, focal_px=one.focal_px * pixels)
 
 
 def _pair(
@@ -129,7 +137,11 @@ def _pair(
         least = min(sizes.values())
         one = scanner(pixels, int(rng.integers(2**31)))
         scene = cell.grinding_scene(rng, relief, overlap, scanner=one, every=least)
-        known = {"T_sample_test": scene.T_sample_test, "ridge": scene.ridge_mm, "overlap": scene.overlap}
+        known: dict[str, np.ndarray] = {
+            "T_sample_test": scene.T_sample_test,
+            "ridge": scene.ridge_mm,
+            "overlap": np.array(scene.overlap),
+        }
         for label, every in sizes.items():
             for of, scan in (("sample", scene.sample), ("test", scene.test)):
                 kept = (scan.pixels % (every // least) == 0).all(axis=1)
@@ -171,12 +183,12 @@ def _described(case: Case) -> Case:
         if not file.is_file():
             points = voxel_grid(read_cloud(case.inputs[of]).points, KEY_MM).centroids
             write_ply(file, points, estimate_normals(points, 2.5 * KEY_MM, 40, np.zeros(3)))
-    points = {of: read_cloud(file).points for of, file in files.items()}
+    described = {of: read_cloud(file).points for of, file in files.items()}
     return replace(
         case,
-        points=sum(map(len, points.values())) // 2,
+        points=sum(len(points) for points in described.values()) // 2,
         inputs={of: str(file) for of, file in files.items()},
-        truth=lambda: {**case.truth(), **points},
+        truth=lambda: {**case.truth(), **described},
     )
 
 
@@ -217,4 +229,4 @@ def _truth_file(name: str) -> Path:
 
 def _write_truth(name: str, known: Mapping[str, np.ndarray]) -> None:
     with write_whole(_truth_file(name)) as path:
-        np.savez(path, **known)
+        np.savez(path, allow_pickle=False, **known)

@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import time
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -55,7 +56,7 @@ def sums_per_s(size: int = 1500, rounds: int = 5) -> float:
     return size**3 / min(_seconds(np.dot, matrix, matrix) for _ in range(rounds))
 
 
-def _seconds(function, *what) -> float:
+def _seconds(function: Callable[..., object], *what: object) -> float:
     begin = time.perf_counter()
     function(*what)
     return time.perf_counter() - begin

@@ -93,14 +93,16 @@ class Worker:
             [sys.executable, "-m", "benchmarks.worker", f"benchmarks.peers.{self.racer.task}"],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True,
         )  # fmt: skip
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.jobs, self.replies = self.process.stdin, self.process.stdout
 
     def run(self, inputs: dict[str, Any], answer: Path) -> dict[str, Any]:
         """Hand over one job and wait for its numbers; the arrays of the answer are in the file ``answer``."""
         job = {"inputs": inputs, "settings": self.racer.settings, "answer": str(answer)}
         with suppress(BrokenPipeError):
-            self.process.stdin.write(json.dumps(job) + "\n")
-            self.process.stdin.flush()
-        line = self.process.stdout.readline()
+            self.jobs.write(json.dumps(job) + "\n")
+            self.jobs.flush()
+        line = self.replies.readline()
         if line:
             return json.loads(line)
         code = self.process.wait()
@@ -114,9 +116,9 @@ class Worker:
     def close(self) -> None:
         """End the process."""
         with suppress(BrokenPipeError):
-            self.process.stdin.close()
+            self.jobs.close()
         self.process.wait()
-        self.process.stdout.close()
+        self.replies.close()
         self.errors.close()
 
 

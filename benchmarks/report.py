@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 import grindvision_book
@@ -82,9 +83,9 @@ def table_of(measurements: Sequence[Measurement], accuracy: Sequence[str], lap: 
         right = peers[peers["failures"] < 0.5 * peers["judged"]]
         if len(peers):
             best = right if len(right) else peers
-            for seconds, ratio in {"median_s": "of_fastest_peer", f"{lap}_s": f"{lap}_of_fastest_peer"}.items():
-                if seconds in table:
-                    table.loc[own.index, ratio] = own[seconds] / best[seconds].min()
+            for column, ratio in {"median_s": "of_fastest_peer", f"{lap}_s": f"{lap}_of_fastest_peer"}.items():
+                if column in table:
+                    table.loc[own.index, ratio] = own[column] / best[column].min()
     return table
 
 
@@ -136,12 +137,10 @@ def race_picture(title: str, table: pd.DataFrame, drawn: Sequence[str]) -> Figur
         first.annotate(
             text, (0, places[own.to_numpy()][0] - 0.85), xycoords=("axes fraction", "data"), fontsize=9, weight="bold"
         )
-    handles = [
-        plt.Line2D([], [], marker="o", ls="", color=COLOURS[kind]) for kind in KINDS if kind in set(table["kind"])
-    ]
+    handles = [Line2D([], [], marker="o", ls="", color=COLOURS[kind]) for kind in KINDS if kind in set(table["kind"])]
     words = [KINDS[kind] for kind in KINDS if kind in set(table["kind"])]
     if lap := _lap_of(table):
-        handles.append(plt.Line2D([], [], marker="o", ls="", color=COLOURS["grey"], fillstyle="none"))
+        handles.append(Line2D([], [], marker="o", ls="", color=COLOURS["grey"], fillstyle="none"))
         words.append(f"the stage alone ({lap})")
     fig.legend(handles, words, loc="outside lower center", ncols=4)
     fig.suptitle(title, x=0.01, ha="left", fontsize=11)

@@ -11,6 +11,7 @@ import os
 import resource
 import sys
 import time
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -22,13 +23,14 @@ def memory_mib() -> tuple[float, float]:
     try:
         with open("/proc/self/status") as file:
             fields = dict(line.split(":", 1) for line in file)
-        return tuple(int(fields[name].split()[0]) / 1024 for name in ("VmRSS", "VmHWM"))
+        now, peak = (int(fields[name].split()[0]) / 1024 for name in ("VmRSS", "VmHWM"))
+        return now, peak
     except OSError:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
         return peak, peak
 
 
-def run(function, job: dict[str, Any], imported_mib: float) -> dict[str, Any]:
+def run(function: Callable[..., dict[str, Any]], job: dict[str, Any], imported_mib: float) -> dict[str, Any]:
     """Do one job and measure it; a racer that is a program of its own brings its own ``measured``."""
     begin, begin_cpu = time.perf_counter(), time.process_time()
     try:
@@ -38,7 +40,8 @@ def run(function, job: dict[str, Any], imported_mib: float) -> dict[str, Any]:
     wall, cpu, peak = time.perf_counter() - begin, time.process_time() - begin_cpu, memory_mib()[1]
     measured = {"wall_s": wall, "cpu_s": cpu, "peak_mib": peak, "growth_mib": peak - imported_mib}
     measured |= answer.pop("measured", {})
-    np.savez(job["answer"], **{name: value for name, value in answer.items() if isinstance(value, np.ndarray)})
+    arrays = {name: value for name, value in answer.items() if isinstance(value, np.ndarray)}
+    np.savez(job["answer"], allow_pickle=False, **arrays)
     return measured | {"error": answer.get("error", ""), "laps_s": answer.get("laps_s", {})}
 
 

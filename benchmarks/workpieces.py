@@ -142,7 +142,8 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=())
     parser.add_argument("--csv", type=Path, help="a row a pair into this file")
     options = parser.parse_args(words)
-    rows, peers = [], {name: [] for name in options.peers}
+    rows: list[dict[str, Any]] = []
+    peers: dict[str, list[float]] = {name: [] for name in options.peers}
     for pair in range(options.first, options.first + options.pairs):
         scene = scene_of(pair, options.seed, tuple(options.kinds))
         row = {"pair": pair, "kind": scene.piece.kind, "change": scene.change, "determined": scene.determined}

@@ -60,6 +60,6 @@ def corrected_height_errors(
     for serial in serials:
         instrument, rng = scanner.with_serial(serial), np.random.default_rng(serial)
         clouds = [instrument.measure(view, rng).points for view in views]
-        correction = calibrate_field(clouds, np.subtract(steps_mm, steps_mm[0]))
+        correction = calibrate_field(clouds, [step - steps_mm[0] for step in steps_mm])
         errors.append(measured_heights(instrument, sightings, rng, correction)["error_mm"])
     return np.array(errors)

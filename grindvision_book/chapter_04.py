@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from grindvision.calibration import (
     Measurements,
@@ -65,7 +65,8 @@ def pose_trial(rng: np.random.Generator, choice: str, count: int, spheres: int) 
 def candidate_poses(spheres: int, seed: int = 4) -> CalibrationPlan:
     """Poses all over the reach to choose from: ``spheres`` places, eight directions each."""
     robot, rng = first_robot(), np.random.default_rng(seed)
-    q, centres = [], []
+    q: list[NDArray[np.float64]] = []
+    centres: list[NDArray[np.float64]] = []
     while len(q) < spheres:
         azimuth, reach, height = rng.uniform([-2.9, 350, -250], [2.9, 850, 350])
         centre = np.array([reach * np.cos(azimuth), reach * np.sin(azimuth), height])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ def sample_rows(count: int, wanted: int) -> NDArray[np.int64]:
 
 
 def draw_cloud(
-    axes: Axes, points: ArrayLike, colours: object, title: str = "", size: float = 1.5, **options: object
+    axes: Axes, points: ArrayLike, colours: ArrayLike, title: str = "", size: float = 1.5, **options: Any
 ) -> PathCollection:
     """Scatter points (N, 3) of the camera frame as the camera sees them: x to the right, y down."""
     points = np.asarray(points)

@@ -91,12 +91,12 @@ def slice_across(
         reach_mm: points farther aside, or farther above or below, are left out.
         thickness_mm: of the slice.
     """
-    up = np.asarray(up, dtype=float)
-    along = np.asarray(along, dtype=float) - up * (np.asarray(along, dtype=float) @ up)
-    along = along / np.linalg.norm(along)
+    normal, ahead = np.asarray(up, dtype=float), np.asarray(along, dtype=float)
+    ahead = ahead - normal * (ahead @ normal)
+    ahead = ahead / np.linalg.norm(ahead)
     away = np.asarray(points, dtype=float) - np.asarray(at, dtype=float)
-    across, height = away @ np.cross(up, along), away @ up
-    near = (np.abs(away @ along) < thickness_mm / 2) & (np.abs(across) < reach_mm) & (np.abs(height) < reach_mm)
+    across, height = away @ np.cross(normal, ahead), away @ normal
+    near = (np.abs(away @ ahead) < thickness_mm / 2) & (np.abs(across) < reach_mm) & (np.abs(height) < reach_mm)
     return pd.DataFrame({"across_mm": across[near], "height_mm": height[near]})
 
 

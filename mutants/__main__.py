@@ -35,8 +35,8 @@ def drawn_mutants(count: int, seed: int, under: str = "") -> list[tuple[Mutant, 
         tests_of = {row["path"]: row["tests"].split() for row in csv.DictReader(file)}
     everything = []
     for package in ("grindvision", "grindvision_book"):
-        for file in sorted((ROOT / package).rglob("*.py")):
-            path = file.relative_to(ROOT).as_posix()
+        for module in sorted((ROOT / package).rglob("*.py")):
+            path = module.relative_to(ROOT).as_posix()
             names = next((names for prefix, names in tests_of.items() if path.startswith(prefix)), None)
             if names is not None and path.startswith(under):
                 everything += [(mutant, names) for mutant in mutants_of(ROOT, path)]

@@ -37,7 +37,7 @@ def drawn_outputs(source: str) -> list:
     for path in (FIGURES / f"{name}.svg" for name in names):
         if path.exists():
             svg = path.read_text(encoding="utf-8")
-            caption = re.search(r"<dc:description>(.*?)</dc:description>", svg, re.DOTALL)[1]
+            caption = re.findall(r"<dc:description>(.*?)</dc:description>", svg, re.DOTALL)[0]
             outputs.append(new_output("display_data", data={"image/svg+xml": svg}))
             outputs.append(new_output("display_data", data={"text/markdown": f"*{caption}*"}))
     return outputs

@@ -7,7 +7,7 @@ from grindvision.geometry import rotation_about
 
 def plate(along, across, origin=(0.0, 0.0, 0.0), first=(1.0, 0.0, 0.0), second=(0.0, 1.0, 0.0), spacing=1.0):
     """Points every ``spacing`` mm over a rectangle from ``along`` to ``across`` (each low, high) in a plane."""
-    u, v = np.meshgrid(np.arange(*along, spacing), np.arange(*across, spacing), indexing="ij")
+    u, v = np.meshgrid(np.arange(along[0], along[1], spacing), np.arange(across[0], across[1], spacing), indexing="ij")
     places = np.stack([u.ravel(), v.ravel()], axis=1)
     return np.asarray(origin) + places @ np.array([first, second], dtype=float)
 

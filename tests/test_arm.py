@@ -7,7 +7,7 @@ import pytest
 from grindvision import arm as arms
 from grindvision import geometry, paper
 from grindvision.arm.model import pinocchio_model, urdf_model
-from grindvision.errors import FileError, InputError, NotRigidError, UnitError
+from grindvision.errors import FileError, GrindvisionError, InputError, NotRigidError, UnitError
 
 STEP = 1e-6
 
@@ -142,7 +142,7 @@ def test_a_robot_table_survives_its_file(bent, tmp_path):
 
 
 HEAD = "joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\n"
-DAMAGED = {
+DAMAGED: dict[str, tuple[str | bytes, type[GrindvisionError], str]] = {
     "degrees": (HEAD + "J1,0,0,321.5,0,0\nJ2,90,50,0,90,0\n", UnitError, "90 in the MDH table looks like degrees"),
     "column": ("joint,alpha_rad,a_mm,theta_rad,beta_rad\nJ1,0,0,0,0\n", FileError, "column d_mm missing"),
     "text": (HEAD + "J1,0,0,abc,0,0\n", FileError, "row 1, column d_mm: 'abc'"),

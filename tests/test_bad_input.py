@@ -104,7 +104,7 @@ def obeys(tmp_path, capfd):
         try:
             code = main([*map(str, words), "-o", str(out)])
         except SystemExit as stop:
-            code = stop.code
+            code = int(stop.code or 0)
         error = capfd.readouterr().err
         assert code in (0, 2), error
         if code == 0:

@@ -1,6 +1,7 @@
 """The races: each runs on tiny inputs, its tables hold what is promised, and no racer can see the truth."""
 
 import inspect
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -26,7 +27,7 @@ MEMORY = ["peak_mib", "growth_mib", "judged", "failures"]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory) -> Path:
+def cache(tmp_path_factory) -> Iterator[Path]:
     """Small scans in a cache of their own."""
     folder = tmp_path_factory.mktemp("races")
     with pytest.MonkeyPatch.context() as patch:

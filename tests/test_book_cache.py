@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ def built(tmp_path_factory) -> Book:
 
 
 @pytest.fixture
-def book(built, tmp_path) -> Book:
+def book(built, tmp_path) -> Iterator[Book]:
     """A copy of a book that has been built once, at the same place for its kernel."""
     saved = tmp_path / "saved"
     shutil.copytree(built.folder, saved)
@@ -259,7 +260,8 @@ def test_the_site_is_built_again_only_when_something_has_changed_and_never_half(
     from grindvision.errors import GrindvisionError
     from grindvision_book.site import building
 
-    calls, fails = [], []
+    calls: list[Path] = []
+    fails: list[int] = []
 
     def sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) -> None:
         pages.mkdir()

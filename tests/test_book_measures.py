@@ -50,8 +50,7 @@ def test_way_point_errors_are_the_path_minus_the_root():
 
 
 def test_height_errors_are_the_measured_minus_the_true_height():
-    scanner = cell.StructuredLightScanner()
-    scanner = scanner.with_errors(cell.ScannerErrors(scale=0.01))
+    scanner = cell.StructuredLightScanner().with_errors(cell.ScannerErrors(scale=0.01))
     sightings = {"P1": height_sighting(scanner, (0.0, 0.0), every=8)}
     rows = measured_heights(scanner.with_serial(3), sightings, np.random.default_rng(3))
     assert abs(rows["error_mm"][0]) > 0.1

@@ -147,7 +147,10 @@ def test_findings_say_what_the_printed_tables_say(whole_site):
     assert numbers["motion_rms_um"] == pytest.approx(0.174, abs=0.001)
     assert (numbers["off_least_deg"], numbers["off_most_deg"]) == pytest.approx((35.08, 52.54), abs=0.01)
     assert (numbers["rank_before"], numbers["rank_behind"], numbers["centre_rank"]) == (20, 19, 4)
-    assert numbers["exact_mm"] <= numbers["calibrated_mm"] < numbers["asked_mm"] < numbers["oracle_mm"]
+    exact, calibrated, asked, oracle = (
+        float(numbers[f"{name}_mm"]) for name in ("exact", "calibrated", "asked", "oracle")
+    )
+    assert exact <= calibrated < asked < oracle
     assert numbers["accurate_nominal_mm"] == pytest.approx(0.129, abs=0.002)
 
 

@@ -273,7 +273,7 @@ def test_covariance_columns_are_read(folder):
         table[f"{name}_mm2"] = value
     table.to_csv(folder / "m.csv", index=False)
     covariance = read_measurements(folder / "m.csv", 4).scanner_covariance_mm2
-    assert covariance[5].tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
+    assert covariance is not None and covariance[5].tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
 
 
 def test_a_tracked_arm_needs_neither_labels_nor_scanner_columns(tmp_path, rng):

@@ -160,7 +160,7 @@ def test_whole_poses_are_read_as_points_of_one_pose(rng, tmp_path):
     made = rig(ur5(), rng, rows=4, on_tool=True)
     columns = {f"q{i + 1}_rad": made.measurements.q_rad[:, i] for i in range(6)}
     columns |= {f"b{axis}_mm": made.measurements.tracker_mm[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"br{axis}_deg": [0, 0, 90 * (axis == "z"), 0] for axis in "xyz"}
+    columns |= {f"br{axis}_deg": np.array([0, 0, 90 * (axis == "z"), 0]) for axis in "xyz"}
     pd.DataFrame(columns).to_csv(tmp_path / "m.csv", index=False)
     found = read_measurements(tmp_path / "m.csv")
     assert len(found) == 16 and len(set(found.pose)) == 4

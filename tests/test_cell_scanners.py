@@ -114,8 +114,7 @@ def test_disparity_comes_in_steps(plate):
 
 
 def test_distortion_belongs_to_the_instrument_and_has_its_stated_size(plate):
-    scanner = cell.StructuredLightScanner()
-    scanner = scanner.with_errors(scanner.errors.only("distortion_mm"))
+    scanner = cell.StructuredLightScanner().with_errors(cell.StructuredLightScanner().errors.only("distortion_mm"))
     view = sighting(plate, scanner, 400.0, 16)
     one, again = (scanner.measure(view, np.random.default_rng(seed)).points for seed in (1, 2))
     other = scanner.with_serial(2).measure(view, np.random.default_rng(1)).points
@@ -208,8 +207,7 @@ def test_field_calibration_takes_the_bend_off_a_flat_plate(plate):
 
 def test_distortion_grows_with_the_square_of_the_distance():
     """As the error of a disparity does. The view is far wider than a wave, so that it holds as much of the field."""
-    scanner = cell.StructuredLightScanner()
-    scanner = scanner.with_errors(scanner.errors.only("distortion_mm"))
+    scanner = cell.StructuredLightScanner().with_errors(cell.StructuredLightScanner().errors.only("distortion_mm"))
     x, y = np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21))
     rays = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
     near, far = (

@@ -14,14 +14,21 @@ def command(monkeypatch, run):
     import types
 
     module = types.ModuleType("grindvision.cli.simulate")
-    module.add_arguments = lambda parser: parser.add_argument("--seed", type=int, required=True)
-    module.run = run
+    vars(module).update(
+        add_arguments=lambda parser: parser.add_argument("--seed", type=int, required=True),
+        run=run,
+    )
     monkeypatch.setitem(sys.modules, "grindvision.cli.simulate", module)
 
 
 def test_a_finished_command_exits_with_0_and_gets_its_options(monkeypatch):
     seen = []
-    command(monkeypatch, lambda options: seen.append(options.seed) or 0)
+
+    def keep(options) -> int:
+        seen.append(options.seed)
+        return 0
+
+    command(monkeypatch, keep)
     assert cli.main(["simulate", "--seed", "7"]) == 0
     assert seen == [7]
 

@@ -162,7 +162,7 @@ def test_without_a_terminal_there_is_no_bar(monkeypatch, capsys):
     from grindvision.cli import progress
 
     monkeypatch.setattr(progress, "PATIENCE_S", 0.0)
-    monkeypatch.setattr(progress.time, "sleep", lambda _: None)
+    monkeypatch.setattr("grindvision.cli.progress.time.sleep", lambda _: None)
     bar = progress.Progress(1)
     bar.close()
     assert capsys.readouterr().err == ""

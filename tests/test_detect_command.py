@@ -209,11 +209,11 @@ def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, 
     bent = found(tmp_path / "sample.ply", tmp_path / "test.ply")[1]
     assert np.abs(bent - found(folder / "sample.ply", folder / "test.ply")[1]).max() > 0.12
 
-    for sample, test, more, said in (
+    for sample, test, option, said in (
         ("points.ply", "test.ply", (), "or say --sample-model"),
         ("sample.ply", "faces.ply", (), "faces.ply: a mesh"),
         ("sample.ply", "test.ply", ("--sample-viewpoint", 0, 0, 9), "scanner's own frame"),
     ):
-        code, _, error = run(capsys, tmp_path / sample, tmp_path / test, *words, *more, "-o", tmp_path / "none")
+        code, _, error = run(capsys, tmp_path / sample, tmp_path / test, *words, *option, "-o", tmp_path / "none")
         assert code == 2 and said in error and error.count("\n") == 1
         assert not (tmp_path / "none").exists()

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grindvision import result_set
 from grindvision.cli import main
 from grindvision.cli.scans import pose_doubts, read_pose, read_scans
 from grindvision.clouds import read_cloud, write_ply
@@ -174,7 +173,7 @@ def test_one_message_never_repeats_a_megabyte(good, capfd, tmp_path):  # noqa: F
         try:
             code = main(words)
         except SystemExit as stop:
-            code = stop.code
+            code = int(stop.code or 0)
         error = capfd.readouterr().err
         assert code == 2 and error.count("\n") == 1 and len(error) < 1300
     (tmp_path / "keys.json").write_text(json.dumps({name: 1}))
@@ -345,7 +344,7 @@ def test_where_the_file_system_has_no_locks_nothing_is_swept(tmp_path, monkeypat
     def no_locks(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(result_set.fcntl, "flock", no_locks)
+    monkeypatch.setattr("fcntl.flock", no_locks)
     (tmp_path / ".grindvision-other").mkdir()
     with write_set(tmp_path, "last.json") as place:
         fill(place, "new")
@@ -459,7 +458,12 @@ def test_signals_wait_while_results_are_put_in_place(tmp_path):
 
 def test_an_interrupt_that_a_callback_swallows_comes_again():
     """C code that calls Python prints and drops what is raised there; the run would go on as if nothing had been."""
-    callback = ctypes.CFUNCTYPE(ctypes.c_int)(lambda: signal.raise_signal(signal.SIGTERM) or 0)
+
+    def raises() -> int:
+        signal.raise_signal(signal.SIGTERM)
+        return 0
+
+    callback = ctypes.CFUNCTYPE(ctypes.c_int)(raises)
     with pytest.raises(Interrupted) as caught, ending_signals_interrupt():
         callback()
         time.sleep(10)

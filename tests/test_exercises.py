@@ -55,7 +55,7 @@ def student_cells(chapter: str) -> tuple[dict[str, Any], dict[str, ast.Call]]:
 def test_a_student_copy_with_a_planted_mistake_gets_its_own_hint(task: Exercise, mistake: Any) -> None:
     names, calls = student_cells(task.number[:2])
     call = calls[task.number]
-    wrong = names | {call.args[1].id: mistake.variant}
+    wrong = names | {ast.unparse(call.args[1]): mistake.variant}
     checked = eval(ast.unparse(call), wrong)
     assert (checked.state, checked.mistake) == ("wrong", mistake.name)
     assert mistake.hint in str(checked)

@@ -41,9 +41,9 @@ def plain_fpfh(points, normals, radius):
                 simple[p, 11 * third + int(np.clip(11 * share, 0, 10))] += 100 / len(others)
     full = simple.copy()
     for p, around in enumerate(neighbours):
-        weighted = sum(simple[q] / np.sum((points[q] - points[p]) ** 2) for q in around if q != p)
-        for third in np.split(np.arange(33), 3):
-            full[p, third] += 100 * weighted[third] / weighted[third].sum()
+        weighted = np.sum([simple[q] / np.sum((points[q] - points[p]) ** 2) for q in around if q != p], axis=0)
+        for rows in np.split(np.arange(33), 3):
+            full[p, rows] += 100 * weighted[rows] / weighted[rows].sum()
     return full
 
 

@@ -11,6 +11,7 @@ import struct
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def rows(path: Path) -> None:
         assert all(case >= 0 for case in found.stored)
 
 
-READERS: dict[str, Callable[[Path], object]] = {
+READERS: dict[str, Callable[[Path], Any]] = {
     "pose.json": lambda path: (read_json(path), read_pose(path)),
     "p.toml": parameters,
     "robot.csv": read_arm,
@@ -291,7 +292,7 @@ def test_odd_words_are_refused_in_one_line(folder, door, words):
                 [door, *("absent" if word in ("grinding", "welding", "calibration") else word for word in words)]
             )
     except SystemExit as stop:
-        code = stop.code
+        code = int(stop.code or 0)
     finally:
         os.chdir(before)
     if code == 0:

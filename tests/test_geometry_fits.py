@@ -151,6 +151,7 @@ def plain_consensus(points, size, distances, threshold_mm, rng, iterations=500):
             best, shape = count, found
         if best and (1 - (best / len(scored)) ** size) ** trial < 1e-6:
             break
+    assert shape is not None
     return shape(points) <= threshold_mm
 
 

@@ -18,7 +18,7 @@ def straight_bead():
     return Bead(ridge, np.tile([0.0, 0.0, 1.0], (16, 1)), WIDTH, HEIGHT)
 
 
-def on_ridge(bead, chosen=slice(None), shift=(0.0, 0.0, 0.0)):
+def on_ridge(bead, chosen=slice(None), shift=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return bead.ridge_mm[chosen] + np.asarray(shift), bead.normals[chosen], np.full(len(bead.ridge_mm[chosen]), HEIGHT)
 
 

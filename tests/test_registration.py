@@ -225,8 +225,8 @@ def test_the_pose_errs_as_its_covariance_says(close, bend_mm):
         draw = np.random.default_rng(seed)
         sample, test = (bent(points, bend_mm, draw) for points in (case.sample, case.test))
         source, target = prepare_pair(test, sample)
-        source, normals = source.surfels.points, source.surfels.normals
-        found = refine_bent(source, normals, target.surfels, icp_planes(source, normals, target.surfels, close))
+        points, normals = source.surfels.points, source.surfels.normals
+        found = refine_bent(points, normals, target.surfels, icp_planes(points, normals, target.surfels, close))
         to_centre = rigid(None, -found.centre_mm)
         motion = to_centre @ found.T_target_source @ inverse(case.T_sample_test) @ inverse(to_centre)
         error = np.array([*motion[:3, 3], motion[2, 1], motion[0, 2], motion[1, 0]])
@@ -247,9 +247,9 @@ def test_a_bent_field_is_not_taken_for_a_motion():
     u, v = flat.test[:, 0] / 100, flat.test[:, 1] / 70
     bent = flat.test * (1 + (0.1 * (u**3 - 0.6 * u) + 0.08 * u * v**2)[:, None] / 400)
     source, target = prepare_pair(bent, flat.sample)
-    source, normals = source.surfels.points, source.surfels.normals
-    stiff = icp_planes(source, normals, target.surfels, flat.T_sample_test)
-    free = refine_bent(source, normals, target.surfels, stiff)
+    points, normals = source.surfels.points, source.surfels.normals
+    stiff = icp_planes(points, normals, target.surfels, flat.T_sample_test)
+    free = refine_bent(points, normals, target.surfels, stiff)
     at = flat.test.mean(axis=0)
     off = [errors(found.T_target_source, flat.T_sample_test, at)[1] for found in (stiff, free)]
     assert off[1] < 0.5 * off[0]

@@ -1,6 +1,7 @@
 """Sliders: a strip of pictures that repeats byte for byte where nobody can move one."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,7 @@ def test_a_strip_that_is_not_chosen_runs_from_end_to_end(folder: Path) -> None:
 
 
 def test_a_live_notebook_gets_a_slider_and_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = {}
+    shown: dict[str, Any] = {}
     monkeypatch.setattr(sliders, "is_live", lambda: True)
     monkeypatch.setattr("ipywidgets.interact", lambda show, value: shown.update(knob=value, show=show))
     book.slider(draw, [1, 2, 3], "slider_test", "exponent", "A caption")

@@ -10,7 +10,7 @@ from grindvision.vision.surface.voxel_grid import voxel_grid
 
 def plain_voxel_grid(points, size, origin):
     """Oracle: Eqs 1-2 word by word, one point at a time."""
-    cells = {}
+    cells: dict[tuple[int, ...], list[np.ndarray]] = {}
     for point in points:
         cells.setdefault(tuple(int(i) for i in np.floor((point - origin) / size)), []).append(point)
     return {cell: np.mean(members, axis=0) for cell, members in cells.items()}

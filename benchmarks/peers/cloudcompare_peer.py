@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.peers.laps import Answer
 from benchmarks.peers.programs import run_cloudcompare
 from benchmarks.peers.recipe import THRESHOLD_MM
 
 
-def difference(sample: str, test: str) -> dict:
+def difference(sample: str, test: str) -> Answer:
     """Points farther than 0.5 mm from their nearest neighbour; the times are those of CloudCompare's own log."""
     with tempfile.TemporaryDirectory() as folder:
         result, other = Path(folder) / "distances.bin", Path(folder) / "sample.bin"

@@ -7,29 +7,28 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial import cKDTree
 
-from benchmarks.peers.laps import Laps
+from benchmarks.peers.laps import Answer, Laps
 from benchmarks.peers.open3d_peer import plane_icp
 from benchmarks.peers.recipe import bead_path
 from grindvision.geometry import move_points, rigid
 
 
-def detect(sample: str, test: str, voxel_mm: float = 2.0) -> dict:
+def detect(sample: str, test: str, voxel_mm: float = 2.0) -> Answer:
     """The whole pipeline."""
     lap = Laps()
     target, source = o3d.io.read_point_cloud(sample), o3d.io.read_point_cloud(test)
     lap("read")
     fine = [cloud.voxel_down_sample(1.0) for cloud in (target, source)]
     lap("features")
-    pose = matched(*(np.asarray(cloud.points) for cloud in fine), voxel_mm)
+    pose = matched(np.asarray(fine[0].points), np.asarray(fine[1].points), voxel_mm)
     lap("coarse")
-    pose = plane_icp(*fine, pose)
+    pose = plane_icp(fine[0], fine[1], pose)
     lap("icp")
     points = np.asarray(source.points)
     moved = move_points(pose, points)
     distances, _ = cKDTree(np.asarray(target.points)).query(moved, workers=-1)
     lap("difference")
-    surface = (np.asarray(values) for values in (fine[0].points, fine[0].normals))
-    path = bead_path(points, moved, distances, *surface)
+    path = bead_path(points, moved, distances, np.asarray(fine[0].points), np.asarray(fine[0].normals))
     lap("path")
     return {"T_sample_test": pose, "path": path, "laps_s": lap.laps_s}
 
@@ -41,11 +40,11 @@ def matched(target: np.ndarray, source: np.ndarray, voxel_mm: float) -> np.ndarr
     return rigid(found.rotation, np.ravel(found.translation))
 
 
-def coarse(sample: str, test: str, voxel_mm: float = 2.0) -> dict:
+def coarse(sample: str, test: str, voxel_mm: float = 2.0) -> Answer:
     """The first alignment."""
     lap = Laps()
-    clouds = [np.asarray(o3d.io.read_point_cloud(path).points) for path in (sample, test)]
+    target, source = (np.asarray(o3d.io.read_point_cloud(path).points) for path in (sample, test))
     lap("read")
-    pose = matched(*clouds, voxel_mm)
+    pose = matched(target, source, voxel_mm)
     lap("coarse")
     return {"T_sample_test": pose, "laps_s": lap.laps_s}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
-from benchmarks.peers.laps import Laps
+from benchmarks.peers.laps import Answer, Laps
 from grindvision.arm import read_arm
 from grindvision.calibration import calibrate as fit_cell
 from grindvision.calibration import read_measurements
 
 
-def calibrate(train: str, test: str, robot: str) -> dict:
+def calibrate(train: str, test: str, robot: str) -> Answer:
     """Scanner, arm and base from measurements; then the held-out spheres in the tracker's frame."""
     lap = Laps()
     arm = read_arm(robot).first(4)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from benchmarks.peers.laps import Laps
+from benchmarks.peers.laps import Answer, Laps
 from grindvision.clouds import read_cloud
 from grindvision.vision.seam.weld import trace_weld
 
 
-def groove(cloud: str, variant: str) -> dict:
+def groove(cloud: str, variant: str) -> Answer:
     """A cloud in, groove points and way points out."""
     lap = Laps()
     points = read_cloud(cloud).points

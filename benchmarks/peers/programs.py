@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.peers.laps import Answer
 from grindvision.errors import GrindvisionError
 from grindvision_book.machinery.places import BUILD
 
@@ -40,7 +41,7 @@ def build_pcl() -> str:
     return ""
 
 
-def run_pcl(name: str, *words: object) -> dict:
+def run_pcl(name: str, *words: object) -> Answer:
     """Run one of the PCL programs; its own clock, without the start of the process, is the one that counts."""
     done = subprocess.run([str(PROGRAMS / name), *map(str, words)], capture_output=True, text=True)
     if done.returncode:

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks.peers.laps import Laps
+from benchmarks.peers.laps import Answer, Laps
 from benchmarks.peers.recipe import THRESHOLD_MM
 from grindvision.clouds import read_cloud
 
@@ -16,7 +16,7 @@ JOINTS = 4
 COLUMNS = ("alpha_rad", "a_mm", "d_mm", "theta_rad", "beta_rad")
 
 
-def difference(sample: str, test: str) -> dict:
+def difference(sample: str, test: str) -> Answer:
     """Points farther than 0.5 mm from their nearest neighbour, on all cores."""
     lap = Laps()
     target, source = (read_cloud(path).points for path in (sample, test))
@@ -26,7 +26,7 @@ def difference(sample: str, test: str) -> dict:
     return {"changed": changed, "laps_s": lap.laps_s}
 
 
-def calibrate(train: str, test: str, robot: str) -> dict:
+def calibrate(train: str, test: str, robot: str) -> Answer:
     """Least squares over scanner, arm and base with SciPy's numerical Jacobian."""
     lap = Laps()
     nominal = pd.read_csv(robot)[list(COLUMNS)].to_numpy()[:JOINTS]

@@ -7,14 +7,14 @@ import os
 import numpy as np
 import small_gicp
 
-from benchmarks.peers.laps import Laps
+from benchmarks.peers.laps import Answer, Laps
 from benchmarks.peers.recipe import THRESHOLD_MM
 from grindvision.clouds import read_cloud
 
 THREADS = os.cpu_count() or 1
 
 
-def icp(sample: str, test: str, start: str, method: str) -> dict:
+def icp(sample: str, test: str, start: str, method: str) -> Answer:
     """ICP on voxels of 1 mm, within 4 mm and then within 1 mm; ``method`` GICP or PLANE_ICP."""
     lap = Laps()
     clouds = [read_cloud(path).points for path in (sample, test)]
@@ -31,7 +31,7 @@ def icp(sample: str, test: str, start: str, method: str) -> dict:
     return {"T_sample_test": pose, "laps_s": lap.laps_s}
 
 
-def difference(sample: str, test: str) -> dict:
+def difference(sample: str, test: str) -> Answer:
     """Points farther than 0.5 mm from their nearest neighbour."""
     lap = Laps()
     target, source = (read_cloud(path).points for path in (sample, test))
@@ -43,7 +43,7 @@ def difference(sample: str, test: str) -> dict:
     return {"changed": changed, "laps_s": lap.laps_s}
 
 
-def voxels(cloud: str, size_mm: float = 2.0) -> dict:
+def voxels(cloud: str, size_mm: float = 2.0) -> Answer:
     """The voxel grid filter, in one thread: with more its result is not the same every time."""
     lap = Laps()
     points = read_cloud(cloud).points

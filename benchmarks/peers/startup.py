@@ -9,13 +9,14 @@ import sys
 import tempfile
 import time
 
+from benchmarks.peers.laps import Answer
 from benchmarks.peers.programs import PROGRAMS
 from grindvision.errors import GrindvisionError
 
 BYTES = 1 if sys.platform == "darwin" else 1024  # unit of ru_maxrss
 
 
-def process(words: list[str], compiled: bool = True, **files: str) -> dict:
+def process(words: list[str], compiled: bool = True, **files: str) -> Answer:
     """Run a command; ``{python}``, ``{programs}``, ``{folder}`` and the names of files in its words are filled in."""
     with tempfile.TemporaryDirectory() as folder:
         command = [word.format(python=sys.executable, programs=PROGRAMS, folder=folder, **files) for word in words]

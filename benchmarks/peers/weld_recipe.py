@@ -10,6 +10,7 @@ from benchmarks.peers.recipe import largest_cluster
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 VOTE_MM = 5.0
 SLABS = 50
@@ -56,14 +57,14 @@ def slab_medians(points: Floats) -> Floats:
     return np.array(medians)
 
 
-def _neighbours(tree: cKDTree, points: Floats, radius_mm: float) -> tuple[NDArray, NDArray, NDArray]:
+def _neighbours(tree: cKDTree, points: Floats, radius_mm: float) -> tuple[Rows, Rows, Rows]:
     """Neighbours of all points in one row, where each point's begin, and whose they are."""
     lists = tree.query_ball_point(points, radius_mm, workers=-1)
     counts = np.fromiter(map(len, lists), int, len(lists))
     return np.concatenate(lists).astype(int), np.cumsum(counts) - counts, np.repeat(np.arange(len(lists)), counts)
 
 
-def _variance(values: Floats, starts: NDArray) -> Floats:
+def _variance(values: Floats, starts: Rows) -> Floats:
     counts = np.diff([*starts, len(values)])
     mean, square = (np.add.reduceat(power, starts) / counts for power in (values, values**2))
     return np.maximum(square - mean**2, 0)

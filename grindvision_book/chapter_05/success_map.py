@@ -64,7 +64,9 @@ def first_poses(one: Situation, rng: np.random.Generator) -> dict[str, Floats]:
     Open3D's threads share one random generator: its answer need not repeat.
     """
     views = (one.test, one.viewpoint_mm), (one.sample, np.zeros(3))
-    source, target = (part.keypoints for part in scan.prepare_pair(one.test, one.sample, [view for _, view in views]))
+    source, target = (
+        part.keypoints for part in scan.prepare_pair(one.test, one.sample, (one.viewpoint_mm, np.zeros(3)))
+    )
     few_sizes = scan.coarser(*(scan.choose_resolution(cloud, voxels=PAPER_VOXELS) for cloud, _ in views))
     few_source, few_target = (scan.prepare_scan(cloud, few_sizes, view).keypoints for cloud, view in views)
     paper = sac_ia_paper(few_source, few_target, rng, iterations=PAPER_SAMPLES, refine=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,8 +186,8 @@ def compound_paths(
     robot = replace(_robot(), scanner=instrument)
     tracker = misaligned_tracker(rng)
     calibrated = calibrated_cell(robot, tracker, rng)
-    off = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
-    scanner = instrument.with_errors(instrument.errors.without(*off))
+    left_out = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
+    scanner = instrument.with_errors(instrument.errors.without(*left_out))
     repeatability = robot.joint_noise_deg if joint_repeatability else 0.0
     robot = replace(robot, scanner=scanner, joint_noise_deg=repeatability)
 
@@ -215,7 +215,7 @@ def compound_paths(
     return pd.DataFrame(rows, columns=["orientation", "point", *columns, "normal_off_deg"])
 
 
-def compound_case(rng: np.random.Generator, **settings: bool | float | None) -> dict[str, float]:
+def compound_case(rng: np.random.Generator, **settings: Any) -> dict[str, float]:
     """``compound_paths`` in numbers: a case of a study.
 
     ``spread_x_mm`` (y, z): widest spread of corresponding points over the path; ``spread_rms_mm``: rms distance of
@@ -255,8 +255,11 @@ def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.
     joints, seen, tracked = (
         [f"q{i}_rad" for i in range(1, 5)], ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"],
     )  # fmt: skip
+    q_rad, seen_mm, tracked_mm = (table[columns].to_numpy() for columns in (joints, seen, tracked))
     measurements = Measurements(
-        *(table[columns].to_numpy() for columns in (joints, seen, tracked)),
+        q_rad,
+        seen_mm,
+        tracked_mm,
         sphere=table["sphere"].astype(str).to_numpy(),
     )
     return calibrate(measurements, robot.nominal).cell

@@ -82,7 +82,14 @@ def draw_projection(paths: pd.DataFrame, across: str, up: str) -> Figure:
         view.set_aspect("equal")
         view.set(xlim=centre[0] + np.array([-1, 1]) * _VIEW_MM, ylim=centre[1] + np.array([-1, 1]) * _VIEW_MM)
         view.set(xticks=[], yticks=[])
-        whole.annotate(str(number), centre, xytext=(-9, 9), textcoords="offset points", ha="center", fontsize="small")
+        whole.annotate(
+            str(number),
+            (centre[0], centre[1]),
+            xytext=(-9, 9),
+            textcoords="offset points",
+            ha="center",
+            fontsize="small",
+        )
     return fig
 
 
@@ -100,7 +107,8 @@ def _draw_points(axes: Axes, paths: pd.DataFrame, across: str, up: str, lines: b
 def _draw_square(axes: Axes, centre: NDArray[np.float64]) -> None:
     from matplotlib.patches import Rectangle
 
-    axes.add_patch(Rectangle(centre - SQUARE_MM / 2, SQUARE_MM, SQUARE_MM, fill=False, edgecolor="0.35", linewidth=0.9))
+    left, bottom = centre - SQUARE_MM / 2
+    axes.add_patch(Rectangle((left, bottom), SQUARE_MM, SQUARE_MM, fill=False, edgecolor="0.35", linewidth=0.9))
 
 
 def _middle(points: pd.DataFrame, across: str, up: str) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ def path_case(
     wheel_radius_mm: float,
     depth_of_cut_mm: float = 0.25,
     passes: int = 12,
-    **vision: float,
+    **vision: Any,
 ) -> dict[str, float]:
     """``found_path`` and the grinding along it in numbers: a case of a study.
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from grindvision.geometry import random_rotation, rigid
 
@@ -15,9 +17,11 @@ def poses(rng: np.random.Generator, count: int, shift_mm: float = 400.0) -> list
     return [rigid(random_rotation(rng), rng.normal(0, shift_mm, 3)) for _ in range(count)]
 
 
-def clouds(rng: np.random.Generator, count: int, points: int = 20, extent_mm: ArrayLike = 50.0) -> list[Floats]:
+def clouds(
+    rng: np.random.Generator, count: int, points: int = 20, extent_mm: float | Sequence[float] = 50.0
+) -> list[Floats]:
     """Clouds (points, 3), each about a centre of its own far from the origin."""
-    return [rng.normal(0, 200, 3) + rng.normal(0, 1, (points, 3)) * extent_mm for _ in range(count)]
+    return [rng.normal(0, 200, 3) + rng.normal(0, 1, (points, 3)) * np.asarray(extent_mm) for _ in range(count)]
 
 
 def units(rng: np.random.Generator, *shape: int) -> Floats:

@@ -42,7 +42,7 @@ def _long_axes(o: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _three_spheres(rng: np.random.Generator) -> list[tuple[Floats, ...]]:
-    cases = []
+    cases: list[tuple[Floats, ...]] = []
     for T_base_joint4, T_joint4_scanner in zip(poses(rng, 5), poses(rng, 5, 100.0), strict=True):
         scanner = rng.normal(0, 80, (3, 3)) + [0, 0, 400]
         cases.append((T_base_joint4, scanner, geometry.move_points(T_base_joint4 @ T_joint4_scanner, scanner)))
@@ -96,7 +96,7 @@ def _count(values: Floats, least: float) -> int:
 
 
 def _values(matrix: Floats) -> Floats:
-    return np.linalg.svd(matrix, compute_uv=False)
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
 
 
 EXERCISES = (

@@ -34,7 +34,7 @@ def changed(sample: Floats, test: Floats, threshold_mm: float) -> NDArray[np.boo
 
 
 def _feet(rng: np.random.Generator) -> list[tuple[Floats, ...]]:
-    cases = []
+    cases: list[tuple[Floats, ...]] = []
     for _ in range(4):
         feet, normals = rng.normal(0, 30, (15, 3)), units(rng, 15)
         tests = feet + rng.normal(0, 1.5, (15, 3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 class _Loop(asyncio.SelectorEventLoop):
     """An event loop that leaves the signals alone: nbclient would clean up one kernel and let the build go on."""
 
-    def add_signal_handler(self, *_: Any) -> None:
+    def add_signal_handler(self, sig: int, callback: Callable[..., object], *args: object) -> None:
         raise NotImplementedError("the signals that end a build belong to the command")
 
     def remove_signal_handler(self, *_: Any) -> bool:

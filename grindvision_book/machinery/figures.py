@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import re
 import sys
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from grindvision.errors import InputError
@@ -126,7 +127,7 @@ def _check(name: str, data: pd.DataFrame, caption: str) -> None:
         raise InputError(f"{name}: the caption is empty; state frame, unit and origin")
 
 
-def _notebook():
+def _notebook() -> ModuleType | None:
     """``IPython.display`` inside a notebook or IPython session, else None."""
     if "IPython" not in sys.modules or sys.modules["IPython"].get_ipython() is None:
         return None

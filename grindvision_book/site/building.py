@@ -187,10 +187,10 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
     exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
     if exercises:
         shutil.copytree(notebooks / "exercises", sources / "notebooks" / "exercises")
-    for page in (*_TEXTS, *_LINKED):
-        if (ROOT / page).exists():
-            (sources / page).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / page, sources / page)
+    for text in (*_TEXTS, *_LINKED):
+        if (ROOT / text).exists():
+            (sources / text).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / text, sources / text)
     pages = {path.name: path.read_text(encoding="utf-8") for path in SOURCES.glob("*.md")}
     pages["findings.md"] = findings_page(pages["findings.md"], sources / "figures")
     pages["gallery.md"] = gallery_page(

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pyvista
 
 Floats = NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 SEED = 5
 
@@ -242,7 +243,7 @@ def _dots(plotter: pyvista.Plotter, points: Floats, colour: str | Floats) -> Non
     )
 
 
-def _some(rows: NDArray, most: int) -> NDArray:
+def _some(rows: NDArray[Scalar], most: int) -> NDArray[Scalar]:
     return rows[np.sort(np.random.default_rng(SEED).permutation(len(rows))[:most])]
 
 
@@ -272,7 +273,7 @@ def _look(
 
 def _facing(direction: ArrayLike, up: ArrayLike) -> Floats:
     out = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    right = np.cross(up, out)
+    right = np.cross(np.asarray(up, dtype=float), out)
     right /= np.linalg.norm(right)
     return np.column_stack([right, np.cross(out, right), out])
 

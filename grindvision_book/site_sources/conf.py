@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from sphinx.application import Sphinx
+
 project = "grindvision"
 author = "grindvision contributors"
 project_copyright = "grindvision contributors, CC BY 4.0"
@@ -28,7 +30,7 @@ add_module_names = False
 python_maximum_signature_line_length = 88
 
 nb_execution_mode = "off"
-nb_ipywidgets_js = {}
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 nb_merge_streams = True
 nb_render_markdown_format = "myst"
 nb_code_prompt_show = "Show the code that draws"
@@ -68,23 +70,25 @@ mathjax3_config = {
 }
 
 
-def setup(app):
+def setup(app: Sphinx) -> None:
     """Choose the parts of MathJax, and leave out the theme's icon library: the style sheet draws the few in use."""
     app.config.mathjax_path = "mathjax/startup.js"
     app.connect("autodoc-process-signature", _with_plain_aliases)
     app.connect("build-finished", _without_icon_library)
 
 
-def _with_plain_aliases(app, what, name, obj, options, signature, returned):
+def _with_plain_aliases(
+    app: Sphinx, what: str, name: str, obj: object, options: object, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
     """Sphinx writes ``TypeAliasForwardRef('Floats')`` for an alias inside another type: only the alias is meant."""
 
-    def plain(text):
+    def plain(text: str | None) -> str | None:
         return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
 
     return plain(signature), plain(returned)
 
 
-def _without_icon_library(app, error):
+def _without_icon_library(app: Sphinx, error: Exception | None) -> None:
     if error is None:
         for name in ("fontawesome.js", "fontawesome.js.map"):
             script = Path(app.outdir) / "_static" / "scripts" / name

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ def on_cluster(
     missing: Mapping[int, Mapping[str, Any]],
     seed: int,
     scheduler: str,
-) -> Iterator[Row]:
+) -> Generator[Row, None, None]:
     """Yield ``measured(measure, case, parameters, seed)`` of every missing case, as the rows come.
 
     Raises:

@@ -15,7 +15,7 @@ import contextlib
 import hashlib
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -77,7 +77,7 @@ def run_study(
     with TemporaryDirectory() as scratch, RowsFile(path or Path(scratch, "rows.csv")) as rows:
         done = _finished(rows, parameters, seed, code)
         missing = {case: values for case, values in parameters.items() if case not in done}
-        finished = (
+        finished: Generator[dict[str, Any], None, None] = (
             on_cluster(_measured, measure, missing, seed, scheduler)
             if scheduler
             else _here(measure, missing, seed, jobs)
@@ -103,7 +103,7 @@ def code_fingerprint(module: str = "") -> str:
     if module.split(".")[0] in PACKAGES:
         sources = {name: source_of(name) for name in modules_of(module)}
     else:
-        roots = (Path(package.__file__).resolve().parent for package in (grindvision, grindvision_book))
+        roots = (Path(str(package.__file__)).resolve().parent for package in (grindvision, grindvision_book))
         sources = {path.relative_to(root.parent).as_posix(): path for root in roots for path in root.rglob("*.py")}
     for name, path in sorted(sources.items()):
         digest.update(name.encode() + b"\0" + (path.read_bytes() if path else b""))
@@ -185,7 +185,9 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
     return {**row, "error": "", **values}
 
 
-def _here(measure: Measure, missing: dict[int, dict[str, Any]], seed: int, jobs: int) -> Iterator[dict[str, Any]]:
+def _here(
+    measure: Measure, missing: dict[int, dict[str, Any]], seed: int, jobs: int
+) -> Generator[dict[str, Any], None, None]:
     from joblib import Parallel, delayed, parallel_config
 
     with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1), warnings.catch_warnings():
