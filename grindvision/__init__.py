@@ -1,8 +1,9 @@
 """Robot vision for grinding and welding: the package behind the reproducible experiment book.
 
 Rooms, in the order data flows through them: ``geometry``, ``arm``, ``paper``, ``cell``, ``vision``,
-``calibration``, ``motion``. The names listed here are the front door, fetched when first used; everything else is
-imported from its room: ``from grindvision import vision``.
+``calibration``, ``motion``. The names listed here are the front door, fetched when first used: functions, the frozen
+options that each takes, and what it returns. Everything else is imported from its room: ``from grindvision import
+vision``.
 """
 
 from grindvision.lazy import lazy_names
@@ -13,17 +14,29 @@ _HOMES = {
     "clouds": ("Cloud", "read_cloud", "write_ply"),
     "vision.registration.scan_registration": ("RegisterOptions", "Registration", "register"),
     "vision.change.detection": ("DetectOptions", "Detection", "detect"),
-    "vision.seam.groove": ("GrooveDetection", "find_grooves"),
-    "vision.seam.weld": ("Weld", "trace_weld"),
-    "vision.depth_calibration.field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
-    "arm.mdh": ("MdhArm", "read_arm", "write_arm"),
+    "vision.seam.groove": ("FindGroovesOptions", "GrooveDetection", "find_grooves"),
+    "vision.seam.weld": ("TraceWeldOptions", "Weld", "trace_weld"),
+    "vision.depth_calibration.field_correction": ("CalibrateFieldOptions", "FieldCorrection", "calibrate_field"),
+    "arm.mdh": ("MdhArm", "read_arm"),
     "calibration.measurement_files": ("read_measurements",),
     "calibration.measurements": ("Measurements",),
     "calibration.accurate": ("Options as CalibrateOptions", "Calibration", "calibrate"),
-    "motion.tool": ("grinding_spindle", "welding_torch"),
-    "motion.trajectory": ("Trajectory", "tool_trajectory"),
-    "motion.plan": ("Motion", "plan_motion"),
+    "calibration.holding": ("Verification", "VerifyOptions", "verify"),
+    "motion.robot": ("Robot",),
+    "motion.robot_files": ("LoadRobotOptions", "load_robot"),
+    "motion.trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),
+    "motion.plan": ("Motion", "PlanMotionOptions", "plan_motion"),
     "motion.programme": ("write_programme",),
+    "cell.simulation": ("SimulateOptions", "simulate"),
+}
+_RENAMED = {
+    name: f"{room}.{name}={home}:{name}"
+    for room, home, names in (
+        ("vision", "vision.depth_calibration.field_correction", ("read_field", "write_field")),
+        ("arm", "arm.mdh", ("write_arm",)),
+        ("motion", "motion.tool", ("grinding_spindle", "welding_torch")),
+    )
+    for name in names
 }
 
-__all__, __getattr__ = lazy_names(__name__, _HOMES)
+__all__, __getattr__ = lazy_names(__name__, _HOMES, _RENAMED)

@@ -23,6 +23,7 @@ from grindvision.formats.pcd import read_pcd
 from grindvision.formats.ply import read_ply
 from grindvision.formats.tables import read_table
 from grindvision.input_files import bytes_left, open_input
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +54,7 @@ FLOAT32_MM = 8192.0
 """Up to here float32 resolves a micrometre."""
 
 
+@by_content
 @dataclass(frozen=True)
 class Cloud:
     """Points (N, 3) in mm and, where known, unit normals (N, 3).
@@ -85,12 +87,21 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
         path: file with one of the suffixes of ``READERS``.
         unit: unit of the numbers in the file, one of ``MM_PER``; left out: what the file says, else mm.
 
+    Returns:
+        Points (N, 3) in mm in the frame of the file, normals (N, 3) where it has them, the grid of an organised cloud.
+
     Raises:
         FileError: missing, empty, damaged, shorter than its header says, or of an unknown format.
         InputError: unknown unit. UnitError: the file says another unit.
 
     Warns:
         GrindvisionWarning: the reader had to decide something.
+
+    Example:
+        >>> from grindvision import read_cloud, write_ply
+        >>> write_ply("plate.ply", [(0.0, 0.0, 0.4), (0.1, 0.0, 0.4), (0.0, 0.05, 0.4)])
+        >>> print(read_cloud("plate.ply", unit="m"))
+        3 points over 100.0 x 50.0 x 0.0 mm
     """
     path = Path(path)
     if unit is not None and unit not in MM_PER:
@@ -189,9 +200,24 @@ def extent(points: ArrayLike) -> Floats:
 
 
 def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = None) -> None:
-    """Write points (N, 3) and unit normals (N, 3) as a binary little-endian PLY, whole or not at all.
+    """Write a cloud as a binary little-endian PLY, whole or not at all.
 
     The numbers are float32, or float64 where float32 would lose more than a micrometre.
+
+    Args:
+        path: file; folders that are missing are made.
+        points: (N, 3), mm.
+        normals: unit normals (N, 3), where known.
+
+    Raises:
+        FileError: the file cannot be written.
+
+    Example:
+        >>> from grindvision import read_cloud, write_ply
+        >>> write_ply("edge.ply", [(0, 0, 400), (100, 0, 400)])
+        >>> read_cloud("edge.ply").points
+        array([[  0.,   0., 400.],
+               [100.,   0., 400.]])
     """
     points = np.asarray(points)
     columns = [points] if normals is None else [points, np.asarray(normals)]

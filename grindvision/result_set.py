@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 
 from grindvision.errors import FileError
 from grindvision.interrupts import undisturbed
+from grindvision.records import by_content
 
 try:
     import fcntl
@@ -34,6 +35,7 @@ PLAN = ".grindvision-plan.json"
 TRIES = 20
 
 
+@by_content
 @dataclass(frozen=True)
 class _Plan:
     """What a decided set still has to do: its manifest's name, and the names of the earlier set's files."""

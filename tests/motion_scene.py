@@ -6,7 +6,15 @@ import numpy as np
 
 from grindvision.arm import read_arm
 from grindvision.geometry import rigid
-from grindvision.motion import ER3A_LIMITS, grinding_spindle, mdh_robot, tool_trajectory, ur3, welding_torch
+from grindvision.motion import (
+    ER3A_LIMITS,
+    ToolTrajectoryOptions,
+    grinding_spindle,
+    mdh_robot,
+    tool_trajectory,
+    ur3,
+    welding_torch,
+)
 
 ER3A_TABLE = Path(__file__).resolve().parent.parent / "data" / "robots" / "er3a_c60.csv"
 
@@ -28,7 +36,7 @@ def ring(points=40, radius_mm=50.0, centre=(290.0, 20.0, 50.0)):
     """A closed seam round a circle on a flat top."""
     angle = np.linspace(0.0, 2 * np.pi, points, endpoint=False)
     positions = np.column_stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), 0 * angle]) + np.asarray(centre)
-    return tool_trajectory(positions, np.tile([0.0, 0.0, 1.0], (points, 1)), closed=True)
+    return tool_trajectory(positions, np.tile([0.0, 0.0, 1.0], (points, 1)), ToolTrajectoryOptions(closed=True))
 
 
 def welder():

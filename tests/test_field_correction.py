@@ -11,6 +11,7 @@ from grindvision import cell
 from grindvision.errors import DegenerateError, FileError, InputError
 from grindvision.geometry import fit_plane
 from grindvision.vision.depth_calibration.field_correction import (
+    CalibrateFieldOptions,
     FieldCorrection,
     calibrate_field,
     held_out_rms_mm,
@@ -28,6 +29,7 @@ from grindvision_book.chapter_11.waypoints import PLATES_MM, depth_left, plate_s
 
 STEPS_MM = np.array([0.0, 20.0, 40.0, 60.0])
 FIRST_MM = 420.0
+FIRST = CalibrateFieldOptions(FIRST_MM)
 TILTED = np.array([0.05, -0.03, 1.0]) / np.linalg.norm([0.05, -0.03, 1.0])
 
 
@@ -63,14 +65,14 @@ def test_a_scale_error_is_taken_off_when_the_distance_is_known():
     def scale(points):
         return 2e-3 * points[:, 2]
 
-    assert_allclose(off_mm(calibrate_field(plates(scale), STEPS_MM, FIRST_MM), scale), 0, atol=1e-4)
+    assert_allclose(off_mm(calibrate_field(plates(scale), STEPS_MM, FIRST), scale), 0, atol=1e-4)
     free = off_mm(calibrate_field(plates(scale), STEPS_MM), scale)
     assert np.ptp(free) < 1e-4 and free.mean() == pytest.approx(2e-3 * (FIRST_MM + STEPS_MM.mean()), abs=0.01)
 
 
 @pytest.mark.parametrize("normal", [np.array([0.0, 0.0, 1.0]), TILTED])
 def test_waves_and_noise_leave_little_whichever_way_the_plate_is_tilted(rng, normal):
-    learned = calibrate_field(plates(waves, rng=rng, noise_mm=0.3, normal=normal), STEPS_MM, FIRST_MM)
+    learned = calibrate_field(plates(waves, rng=rng, noise_mm=0.3, normal=normal), STEPS_MM, FIRST)
     left = off_mm(learned, waves)
     assert np.abs(waves(shown(447.0, waves))).max() > 0.39
     assert left.std() < 0.05
@@ -79,26 +81,28 @@ def test_waves_and_noise_leave_little_whichever_way_the_plate_is_tilted(rng, nor
 
 def test_order_of_the_plates_and_strays_do_not_matter(rng):
     clouds = plates(waves, rng=rng, noise_mm=0.1)
-    learned = calibrate_field(clouds, STEPS_MM, FIRST_MM)
-    other = calibrate_field(clouds[1:] + clouds[:1], np.append(STEPS_MM[1:], 0) - 20, FIRST_MM + 20)
+    learned = calibrate_field(clouds, STEPS_MM, FIRST)
+    other = calibrate_field(
+        clouds[1:] + clouds[:1], np.append(STEPS_MM[1:], 0) - 20, CalibrateFieldOptions(FIRST_MM + 20)
+    )
     assert_allclose(other.error_grid_mm, learned.error_grid_mm, atol=1e-6)
     spoilt = clouds[2].copy()
     spoilt[::50] *= rng.uniform(0.5, 2.0, len(spoilt[::50]))[:, None]
-    robust = calibrate_field([*clouds[:2], spoilt, clouds[3]], STEPS_MM, FIRST_MM)
+    robust = calibrate_field([*clouds[:2], spoilt, clouds[3]], STEPS_MM, FIRST)
     assert np.abs(off_mm(robust, waves) - off_mm(learned, waves)).max() < 0.05
 
 
 def test_holes_in_the_plates_are_bridged(rng):
     clouds = plates(waves, rng=rng, noise_mm=0.1)
     holed = [cloud[np.hypot(cloud[:, 0] - 20 * k, cloud[:, 1]) > 15] for k, cloud in enumerate(clouds)]
-    assert off_mm(calibrate_field(holed, STEPS_MM, FIRST_MM), waves).std() < 0.06
+    assert off_mm(calibrate_field(holed, STEPS_MM, FIRST), waves).std() < 0.06
 
 
 @pytest.mark.parametrize("serial", range(4))
 def test_a_depth_camera_is_left_with_a_quarter_of_its_error_corners_included(serial):
     camera, rng = cell.DepthCamera(serial=serial), np.random.default_rng(serial)
     clouds = plate_scans(camera, rng)
-    left = depth_left(camera, calibrate_field(clouds, PLATES_MM - PLATES_MM[0], PLATES_MM[0]))
+    left = depth_left(camera, calibrate_field(clouds, PLATES_MM - PLATES_MM[0], CalibrateFieldOptions(PLATES_MM[0])))
     rms = np.sqrt((left[["left_mm", "true_mm"]] ** 2).mean())
     assert rms["left_mm"] < 0.25 * rms["true_mm"]
     before, after = held_out_rms_mm(clouds, PLATES_MM - PLATES_MM[0])
@@ -116,7 +120,7 @@ def test_a_stage_that_errs_spoils_no_more_than_it_errs():
 
 
 def test_the_kernel_agrees_with_its_plain_twin_and_nan_stays_nan(rng):
-    learned = calibrate_field(plates(waves, rng=rng, noise_mm=0.1), STEPS_MM, FIRST_MM)
+    learned = calibrate_field(plates(waves, rng=rng, noise_mm=0.1), STEPS_MM, FIRST)
     points = rng.uniform([-250, -150, 380], [250, 150, 520], (5000, 3))
     place = np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], points @ learned.normal])
     intervals = np.subtract(learned.error_grid_mm.shape, 1)[:, None]
@@ -137,14 +141,14 @@ def test_one_plate_bends_alike_at_every_distance(rng):
 
 
 def test_points_outside_the_volume_are_told_and_take_the_rims_error():
-    learned = calibrate_field(plates(waves), STEPS_MM, FIRST_MM)
+    learned = calibrate_field(plates(waves), STEPS_MM, FIRST)
     axis = np.array([[0.0, 0.0, z] for z in (300.0, 450.0, 700.0)])
     assert learned.holds(axis).tolist() == [False, True, False]
     assert learned.error_mm(axis)[0] == learned.error_mm(np.array([[0.0, 0.0, learned.low[2]]]))[0]
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    learned = calibrate_field(plates(waves), STEPS_MM, FIRST_MM)
+    learned = calibrate_field(plates(waves), STEPS_MM, FIRST)
     write_field(learned, tmp_path / "field.npz")
     again = read_field(tmp_path / "field.npz")
     assert_allclose(again.apply(shown(450.0, waves)), learned.apply(shown(450.0, waves)), rtol=0, atol=0)
@@ -154,7 +158,7 @@ def test_a_damaged_file_is_refused_by_name(tmp_path):
     path = tmp_path / "field.npz"
     with pytest.raises(FileError, match="no such file"):
         read_field(path)
-    learned = calibrate_field(plates(waves), STEPS_MM, FIRST_MM)
+    learned = calibrate_field(plates(waves), STEPS_MM, FIRST)
     write_field(learned, path)
     whole = path.read_bytes()
     for damaged in (whole[:-200], whole[: len(whole) // 2], b"ply\n", b"", whole[:2000] + b"XXXXXX" + whole[2006:]):
@@ -187,9 +191,9 @@ def test_bad_input_is_named():
     with pytest.raises(InputError, match="is tilted by"):
         calibrate_field([clouds[0], shown(440.0, waves, normal=[0.1, 0, np.sqrt(0.99)])], [0.0, 20.0])
     with pytest.raises(InputError, match="distance_mm is 42"):
-        calibrate_field(clouds, STEPS_MM, 42.0)
+        calibrate_field(clouds, STEPS_MM, CalibrateFieldOptions(42.0))
     with pytest.raises(InputError, match="distance_mm is nan"):
-        calibrate_field(clouds, STEPS_MM, np.nan)
+        calibrate_field(clouds, STEPS_MM, CalibrateFieldOptions(np.nan))
     with pytest.raises(InputError, match="behind the scanner"):
         calibrate_field([-cloud for cloud in clouds], STEPS_MM)
     with pytest.raises(DegenerateError, match="plate 1"):

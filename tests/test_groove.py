@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from grindvision.cell import weld_scene
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import rotation_about
-from grindvision.vision.seam.groove import find_grooves
+from grindvision.vision.seam.groove import FindGroovesOptions, find_grooves
 from grindvision.vision.seam.groove_profile import Corners, Sections, fit_profiles, profile_height
 from grindvision.vision.seam.height_field import closed, coarser, rasterise, smoothed
 from grindvision.vision.seam.seam_curve import build_curve, lay_straight
@@ -65,7 +65,7 @@ def test_any_order_and_any_frame_give_the_same_groove(rng):
     assert np.mean(find_grooves(points[order]).labels != labels[order]) < 1e-3
     for _ in range(3):
         moved, _, shift = anywhere(points, rng)
-        assert np.mean(find_grooves(moved, viewpoint_mm=shift).labels != labels) < 2e-3
+        assert np.mean(find_grooves(moved, FindGroovesOptions(viewpoint_mm=shift)).labels != labels) < 2e-3
 
 
 def test_unknown_viewpoint_finds_the_groove_from_either_side(rng):
@@ -229,7 +229,7 @@ def test_bad_clouds_are_named(rng, change, error, message):
 def test_cloud_too_sparse_for_the_groove_asked_for(rng):
     points, _ = straight_groove(rng, spacing_mm=3.0)
     with pytest.raises(InputError, match="too sparse for a groove 10 mm wide"):
-        find_grooves(points, width_mm=10)
+        find_grooves(points, FindGroovesOptions(width_mm=10))
 
 
 def test_real_plate(real_data):

@@ -7,7 +7,7 @@ import pytest
 
 from grindvision.cell import weld_scene
 from grindvision.errors import GrindvisionWarning
-from grindvision.vision.seam.weld import trace_weld
+from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
 from tests.groove_scenes import anywhere, cloud, grid, overlap, straight_groove, vee
 
 
@@ -27,7 +27,7 @@ def test_a_gap_between_two_blocks_is_a_warning(gap_mm, high_mm, shadow, seed):
     rng = np.random.default_rng([seed, gap_mm])
     points, _, shift = anywhere(gap(rng, gap_mm, high_mm, rng.choice([0.1, 0.3]), shadow), rng)
     with pytest.warns(GrindvisionWarning, match=r"groove 1 .* may be a gap between two things"):
-        trace_weld(points, viewpoint_mm=shift)
+        trace_weld(points, TraceWeldOptions(viewpoint_mm=shift))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -39,7 +39,7 @@ def test_a_groove_comes_before_a_gap_however_large(gap_mm, high_mm, seed):
     seen = cloud(places, np.where(np.abs(y) < gap_mm / 2, 0, high_mm + vee(y - 60)), rng, rng.choice([0.1, 0.3]))
     points, rotation, shift = anywhere(seen, rng)
     with pytest.warns(GrindvisionWarning) as caught:
-        weld = trace_weld(points, viewpoint_mm=shift)
+        weld = trace_weld(points, TraceWeldOptions(viewpoint_mm=shift))
     first = np.isin(np.arange(len(points)), weld.grooves[0].members)
     assert overlap(first, np.abs(y - 60) < 5) > 0.9
     assert np.abs((weld.path.points - shift) @ rotation[:, 1] + 60).max() < 0.5

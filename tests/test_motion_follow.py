@@ -9,6 +9,7 @@ from grindvision.geometry import rigid, rotation_about, vector_angle
 from grindvision.motion import (
     ER3A_LIMITS,
     JointLimits,
+    PlanMotionOptions,
     Trajectory,
     box,
     follow_trajectory,
@@ -41,7 +42,7 @@ def ur3():
 
 @pytest.fixture(scope="module")
 def motion(ur3):
-    return plan_motion(ur3, s_trajectory(), np.random.default_rng(4), tool_speed_mm_s=8.0)
+    return plan_motion(ur3, s_trajectory(), PlanMotionOptions(tool_speed_mm_s=8.0, seed=4))
 
 
 def test_every_branch_of_the_ur3_is_found(ur3, rng):
@@ -86,7 +87,7 @@ def test_a_ring_turns_the_wrist_once_and_stays_inside_its_limits(ur3, rng):
 
 def test_a_grinding_tool_may_spin_freely_but_keeps_its_axis(rng):
     robot, trajectory = grinder(), s_trajectory(centre=(380.0, 0.0, 120.0))
-    motion = plan_motion(robot, trajectory, rng, tool_speed_mm_s=20.0, spin_free=True)
+    motion = plan_motion(robot, trajectory, PlanMotionOptions(tool_speed_mm_s=20.0, spin_free=True, seed=rng))
     reached = robot.forward(motion.path.q_rad)
     assert np.linalg.norm(reached[:, :3, 3] - trajectory.positions_mm, axis=1).max() < 0.05
     assert np.degrees(vector_angle(reached[:, :3, 2], trajectory.T_base_tool[:, :3, 2])).max() < 0.1
@@ -95,7 +96,7 @@ def test_a_grinding_tool_may_spin_freely_but_keeps_its_axis(rng):
 
 
 def test_the_same_seed_gives_the_same_motion(ur3, motion):
-    again = plan_motion(ur3, s_trajectory(), np.random.default_rng(4), tool_speed_mm_s=8.0)
+    again = plan_motion(ur3, s_trajectory(), PlanMotionOptions(tool_speed_mm_s=8.0, seed=4))
     assert np.array_equal(again.path.q_rad, motion.path.q_rad)
     assert np.array_equal(again.timing.time_s, motion.timing.time_s)
 
@@ -105,7 +106,7 @@ def test_an_unreachable_groove_says_where_why_and_what_to_move(ur3, rng):
     with pytest.raises(
         UnreachableError, match=r"way point 0 at \(637, -70, 53\).*30 of 30.*beyond the arm's reach"
     ) as no:
-        plan_motion(ur3, far, rng, tool_speed_mm_s=8.0)
+        plan_motion(ur3, far, PlanMotionOptions(tool_speed_mm_s=8.0, seed=rng))
     shift = np.array(
         [float(x) for x in re.search(r"move the work by about \(([^)]*)\)", str(no.value)).group(1).split(",")]
     )
@@ -119,7 +120,7 @@ def test_an_unreachable_groove_says_where_why_and_what_to_move(ur3, rng):
 def test_a_joint_at_its_limit_is_named(rng):
     free = grinder()
     wanted = s_trajectory(centre=(380.0, 0.0, 120.0))
-    start = plan_motion(free, wanted, rng, tool_speed_mm_s=20.0).path.q_rad[0]
+    start = plan_motion(free, wanted, PlanMotionOptions(tool_speed_mm_s=20.0, seed=rng)).path.q_rad[0]
     upper = ER3A_LIMITS.upper_rad.copy()
     upper[0] = start[0] + 0.05
     tight = JointLimits(ER3A_LIMITS.lower_rad, upper, ER3A_LIMITS.speed_rad_s, ER3A_LIMITS.acceleration_rad_s2)
@@ -202,15 +203,15 @@ def test_obstacles_that_make_no_sense_are_refused(ur3):
 
 def test_a_groove_behind_the_table_is_named(ur3, rng):
     with pytest.raises(CollisionError, match=r"behind the table: way point 0 is 27.4 mm below its top.*30 of 30"):
-        plan_motion(ur3, s_trajectory(centre=(310, 0, -20)), rng, tool_speed_mm_s=8.0)
+        plan_motion(ur3, s_trajectory(centre=(310, 0, -20)), PlanMotionOptions(tool_speed_mm_s=8.0, seed=rng))
 
 
 def test_a_wall_in_the_way_is_named(ur3, rng):
     wall = box("wall", [200, 10, 300], rigid(translation_mm=[310.0, 0.0, 150.0]))
     with pytest.raises(CollisionError, match=r"and wall come within .* on the best of .* branches of ur3"):
-        plan_motion(ur3, s_trajectory(), rng, tool_speed_mm_s=8.0, obstacles=[wall])
+        plan_motion(ur3, s_trajectory(), PlanMotionOptions(tool_speed_mm_s=8.0, obstacles=[wall], seed=rng))
     with pytest.raises(InputError, match="way in and out is 0"):
-        plan_motion(ur3, s_trajectory(), rng, tool_speed_mm_s=8.0, backed_off_mm=0.0)
+        PlanMotionOptions(backed_off_mm=0.0)
 
 
 def test_the_motion_backs_off_along_the_tool_and_stays_clear(ur3, motion):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from grindvision.arm import forward, read_arm
 from grindvision.errors import FileError, InputError
-from grindvision.motion import plan_motion, urscript, write_programme
+from grindvision.motion import PlanMotionOptions, plan_motion, urscript, write_programme
 from tests.motion_scene import ER3A_TABLE, distance, grinder, ring, s_trajectory, ur3_flange_mm, welder
 
 #: How near a programme read back must come to the trajectory.
@@ -19,13 +19,13 @@ NEAR_MM, NEAR_DEG = 0.05, 0.1
 @pytest.fixture(scope="module", params=["open", "closed"])
 def welding(request):
     trajectory = s_trajectory() if request.param == "open" else ring()
-    return plan_motion(welder(), trajectory, np.random.default_rng(8), tool_speed_mm_s=8.0)
+    return plan_motion(welder(), trajectory, PlanMotionOptions(tool_speed_mm_s=8.0, seed=8))
 
 
 @pytest.fixture(scope="module")
 def grinding():
     trajectory = s_trajectory(points=6, centre=(380.0, 0.0, 120.0))
-    return plan_motion(grinder(), trajectory, np.random.default_rng(8), tool_speed_mm_s=20.0, spin_free=True)
+    return plan_motion(grinder(), trajectory, PlanMotionOptions(tool_speed_mm_s=20.0, spin_free=True, seed=8))
 
 
 def pose_from_urscript(numbers):

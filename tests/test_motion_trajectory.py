@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from grindvision.errors import DegenerateError, InputError, NotRigidError
 from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors, vector_angle
-from grindvision.motion import Trajectory, tool_trajectory
+from grindvision.motion import ToolTrajectoryOptions, Trajectory, tool_trajectory
 from tests.motion_scene import ring, s_trajectory, seam
 
 
@@ -63,7 +63,9 @@ def test_work_and_travel_angle_tilt_the_tool_about_a_fixed_tip(work_deg, travel_
     positions, normals = seam()
     plain = tool_trajectory(positions, normals).T_base_tool
     tilted = tool_trajectory(
-        positions, normals, work_angle_rad=np.radians(work_deg), travel_angle_rad=np.radians(travel_deg)
+        positions,
+        normals,
+        ToolTrajectoryOptions(work_angle_rad=np.radians(work_deg), travel_angle_rad=np.radians(travel_deg)),
     ).T_base_tool
     assert np.array_equal(tilted[:, :3, 3], plain[:, :3, 3])
     assert np.degrees(vector_angle(tilted[:, :3, 2], -normals)) == pytest.approx(abs(work_deg + travel_deg), abs=1e-9)
@@ -100,12 +102,15 @@ def test_steadied_frames_forget_the_noise_and_keep_the_bend(rng, closed):
     outward = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     rough = 60 * outward + rng.normal(0, 0.1, outward.shape)
     shaken = outward + rng.normal(0, 0.05, outward.shape)
-    true = tool_trajectory(60 * outward, outward, closed=closed).T_base_tool
-    shaky, steady = (tool_trajectory(rough, shaken, closed=closed, steady_mm=mm).T_base_tool for mm in (0.0, 10.0))
+    true = tool_trajectory(60 * outward, outward, ToolTrajectoryOptions(closed=closed)).T_base_tool
+    shaky, steady = (
+        tool_trajectory(rough, shaken, ToolTrajectoryOptions(closed=closed, steady_mm=mm)).T_base_tool
+        for mm in (0.0, 10.0)
+    )
     for column in (0, 2):
         before, after = (vector_angle(poses[:, :3, column], true[:, :3, column]).mean() for poses in (shaky, steady))
         assert after < before / 2
-    steadied = tool_trajectory(60 * outward, outward, closed=closed, steady_mm=10.0).T_base_tool
+    steadied = tool_trajectory(60 * outward, outward, ToolTrajectoryOptions(closed=closed, steady_mm=10.0)).T_base_tool
     assert np.degrees(vector_angle(steadied[:, :3, 2], true[:, :3, 2])).max() < 0.3  # no lag at open ends
     assert np.array_equal(steadied[:, :3, 3], true[:, :3, 3])
 
@@ -142,9 +147,9 @@ def test_bad_way_points_are_named():
     with pytest.raises(InputError, match="both must be above 0"):
         s_trajectory().refined(0.0, 0.1)
     with pytest.raises(InputError, match="steady_mm is -1"):
-        tool_trajectory(positions, normals, steady_mm=-1.0)
+        tool_trajectory(positions, normals, ToolTrajectoryOptions(steady_mm=-1.0))
     with pytest.raises(InputError, match="travel angle"):
-        tool_trajectory(positions, normals, travel_angle_rad=15.0)
+        tool_trajectory(positions, normals, ToolTrajectoryOptions(travel_angle_rad=15.0))
     with pytest.raises(NotRigidError, match="way point 1"):
         Trajectory(np.stack([np.eye(4), 2 * np.eye(4)]))
     with pytest.raises(InputError, match=r"\(4, 4\)"):

@@ -1,8 +1,15 @@
+import dataclasses
 import doctest
 import importlib
+import inspect
+import subprocess
+import sys
 import warnings
 
 import pytest
+
+import grindvision
+from tests.groove_scenes import straight_groove
 
 FACES = ["", "geometry", "arm", "calibration", "cell", "vision", "motion", "paper"]
 
@@ -42,17 +49,90 @@ def test_a_name_that_never_was_is_refused():
 
 
 def test_the_front_door_is_fetched_late_and_is_the_rooms_own():
-    import grindvision
     from grindvision import calibration, vision
 
     assert grindvision.detect is vision.detect
     assert grindvision.CalibrateOptions is calibration.Options
-    assert 25 <= len(grindvision.__all__) <= 35
+    loaded = "import sys, grindvision; print([name for name in sys.modules if 'numpy' in name])"
+    assert subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True).stdout == "[]\n"
 
 
-def test_the_example_of_register_runs():
-    import grindvision
+#: Functions of the front door, and classes that stand on their own.
+FUNCTIONS = sorted(name for name in grindvision.__all__ if name.islower())
+DATA = {"Cloud", "MdhArm", "Measurements", "Robot", "Trajectory"}
 
-    finder = doctest.DocTestFinder()
-    (example,) = (one for one in finder.find(grindvision.register, "register") if one.examples)
-    assert doctest.DocTestRunner().run(example).failed == 0
+
+def options_of(name):
+    return "".join(word.capitalize() for word in name.split("_")) + "Options"
+
+
+def test_the_front_door_holds_functions_their_options_and_their_results():
+    assert 15 <= len(FUNCTIONS) <= 25
+    results = {str(inspect.signature(getattr(grindvision, name)).return_annotation) for name in FUNCTIONS}
+    expected = {options_of(name) for name in FUNCTIONS} | results | DATA
+    assert {name for name in grindvision.__all__ if not name.islower()} <= expected
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_settings_stand_in_a_frozen_class_named_after_the_function(name):
+    annotations = inspect.signature(getattr(grindvision, name)).parameters
+    assert ("options" in annotations) == hasattr(grindvision, options_of(name))
+    if "options" in annotations:
+        options = getattr(grindvision, options_of(name))
+        assert dataclasses.is_dataclass(options) and options.__dataclass_params__.frozen
+        assert options.__name__ in (options_of(name), "Options")
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_says_what_it_takes_and_gives(name):
+    function = getattr(grindvision, name)
+    text = inspect.getdoc(function) or ""
+    for parameter in inspect.signature(function).parameters:
+        assert f"    {parameter}: " in text, parameter
+    assert inspect.signature(function).return_annotation == "None" or "Returns:\n" in text
+    assert "Example:\n" in text
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_the_example_of_a_function_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    finder = doctest.DocTestFinder(recurse=False)
+    (example,) = finder.find(getattr(grindvision, name), name)
+    told: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        failed, tried = doctest.DocTestRunner().run(example, out=told.append)
+    assert tried >= 2 and not failed, "".join(told)
+
+
+def test_settings_one_by_one_work_for_one_version_and_warn(rng):
+    from grindvision import FindGroovesOptions, ToolTrajectoryOptions, find_grooves, tool_trajectory
+
+    points, _ = straight_groove(rng)
+    found = find_grooves(points, FindGroovesOptions(width_mm=10.0, viewpoint_mm=(0, 0, 0)))
+    with pytest.warns(DeprecationWarning, match=r"viewpoint_mm, width_mm in FindGroovesOptions\(viewpoint_mm=\.\.\.\)"):
+        assert find_grooves(points, viewpoint_mm=(0, 0, 0), width_mm=10.0) == found
+    with pytest.warns(DeprecationWarning, match="viewpoint_mm, width_mm in FindGroovesOptions"):
+        assert find_grooves(points, (0, 0, 0), 10.0) == found
+    way, up = [(0, 0, 0), (10, 0, 0)], [(0, 0, 1)] * 2
+    with pytest.warns(DeprecationWarning, match="travel_angle_rad"):
+        assert tool_trajectory(way, up, travel_angle_rad=0.1) == tool_trajectory(
+            way, up, ToolTrajectoryOptions(travel_angle_rad=0.1)
+        )
+    with pytest.raises(TypeError, match="takes 2 arguments"):
+        tool_trajectory(way, up, True)
+    with pytest.raises(TypeError):
+        find_grooves(points, no_such_setting=1)
+
+
+@pytest.mark.parametrize(("old", "new"), [("welding_torch", "motion"), ("read_field", "vision"), ("write_arm", "arm")])
+def test_a_name_that_left_the_front_door_is_in_its_room(old, new):
+    with pytest.warns(DeprecationWarning, match=f"{old} is now {new}.{old}"):
+        assert getattr(grindvision, old) is getattr(importlib.import_module(f"grindvision.{new}"), old)
+
+
+def test_every_command_has_a_function():
+    from grindvision.cli import COMMANDS
+
+    functions = {name: name.replace("-", "_") for name in COMMANDS} | {"groove": "trace_weld"}
+    assert all(function in FUNCTIONS for name, function in functions.items() if name not in ("book", "study"))

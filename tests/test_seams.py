@@ -5,12 +5,13 @@ import pytest
 
 from grindvision.errors import InputError, NoGrooveError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS, kinds_of
-from grindvision.vision.seam.seams import find_seams
+from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from tests.groove_scenes import straight_groove
 from tests.seam_scenes import butt, corner, outside, step, tube_on_plate, turned
 
 #: From where the scenes are seen: over the base, in front of the wall.
 EYE = np.array([20.0, -220.0, 320.0])
+FROM_EYE = FindSeamsOptions(EYE)
 
 
 def off_x_axis(line):
@@ -21,7 +22,7 @@ def off_x_axis(line):
 @pytest.mark.parametrize("noise_mm", [0.0, 0.3])
 def test_a_corner_is_found_to_its_sigma_and_its_angle(angle_deg, noise_mm):
     rng = np.random.default_rng([angle_deg, int(10 * noise_mm)])
-    found = find_seams(corner(rng, angle_deg, noise_mm), EYE)
+    found = find_seams(corner(rng, angle_deg, noise_mm), FROM_EYE)
     (seam,) = found.seams
     assert seam.kind in FAMILIES["fillet"] and "two planes meet in a concave corner" in seam.evidence
     assert off_x_axis(seam.root).mean() < 0.02 + 0.5 * noise_mm
@@ -35,14 +36,14 @@ def test_what_is_seen_behind_a_corner_names_it():
     rng = np.random.default_rng(0)
     front = corner(rng, leg=15.0, noise_mm=0.05)
     behind = front[(front[:, 2] < 1) & (front[:, 1] < -2)] * [1, -1, 1] + [0, 30, 0]
-    (tee,) = find_seams(np.concatenate([front, behind]), [0, -60, 400]).seams
+    (tee,) = find_seams(np.concatenate([front, behind]), FindSeamsOptions([0, -60, 400])).seams
     assert tee.kind == "t-joint" and "goes on behind" in tee.evidence
 
 
 @pytest.mark.parametrize("height_mm", [3.0, 6.0, 10.0])
 def test_a_step_is_a_lap_joint(height_mm):
     rng = np.random.default_rng(int(height_mm))
-    (seam,) = find_seams(step(rng, height_mm), EYE).seams
+    (seam,) = find_seams(step(rng, height_mm), FROM_EYE).seams
     assert seam.kind == "lap-joint"
     assert np.median(seam.step_mm) == pytest.approx(height_mm, abs=0.1)
     assert np.abs(seam.root[:, 1] + 0.5).max() < 0.6 and np.abs(seam.root[:, 2]).max() < 0.2
@@ -51,7 +52,7 @@ def test_a_step_is_a_lap_joint(height_mm):
 @pytest.mark.parametrize("hi_lo_mm", [0.0, 0.6])
 def test_a_narrow_gap_is_a_butt_joint(hi_lo_mm):
     rng = np.random.default_rng(5)
-    (seam,) = find_seams(butt(rng, 3.0, hi_lo_mm=hi_lo_mm), [0, 0, 400]).seams
+    (seam,) = find_seams(butt(rng, 3.0, hi_lo_mm=hi_lo_mm), FindSeamsOptions([0, 0, 400])).seams
     assert seam.kind == "butt-gap"
     assert np.median(seam.gap_mm) == pytest.approx(3.0, abs=0.8)
     assert np.median(seam.step_mm) == pytest.approx(hi_lo_mm, abs=0.1)
@@ -61,17 +62,17 @@ def test_a_narrow_gap_is_a_butt_joint(hi_lo_mm):
 
 def test_a_gap_that_the_spacing_hides_is_refused_with_the_spacing_it_takes():
     with pytest.raises(NoGrooveError, match=r"a gap 2 mm: for smaller ones scan more"):
-        find_seams(butt(np.random.default_rng(0), 1.0), [0, 0, 400], "butt")
+        find_seams(butt(np.random.default_rng(0), 1.0), FindSeamsOptions([0, 0, 400], "butt"))
 
 
 def test_an_edge_of_two_faces_is_an_outside_corner():
-    (seam,) = find_seams(outside(np.random.default_rng(1)), [20.0, 220.0, 220.0]).seams
+    (seam,) = find_seams(outside(np.random.default_rng(1)), FindSeamsOptions([20.0, 220.0, 220.0])).seams
     assert seam.kind == "outside-corner" and off_x_axis(seam.root).mean() < 0.1
     assert np.median(seam.opening_deg) == pytest.approx(270, abs=1)
 
 
 def test_a_tube_on_a_plate_by_the_shapes_of_its_faces():
-    (seam,) = find_seams(tube_on_plate(np.random.default_rng(2)), EYE).seams
+    (seam,) = find_seams(tube_on_plate(np.random.default_rng(2)), FROM_EYE).seams
     assert seam.kind == "tube-on-plate" and "cylinder of radius 20" in seam.evidence
     assert np.abs(np.hypot(seam.root[:, 0], seam.root[:, 1]) - 20).mean() < 0.15
     assert seam.length_mm > 0.7 * 20 * np.pi
@@ -80,16 +81,16 @@ def test_a_tube_on_a_plate_by_the_shapes_of_its_faces():
 def test_no_result_depends_on_frame_order_or_nan():
     rng = np.random.default_rng(3)
     points = corner(rng)
-    (here,) = find_seams(points, EYE).seams
+    (here,) = find_seams(points, FROM_EYE).seams
     moved, rotation, shift = turned(points, rng)
-    (there,) = find_seams(moved, rotation @ EYE + shift).seams
+    (there,) = find_seams(moved, FindSeamsOptions(rotation @ EYE + shift)).seams
     assert there.kind == here.kind
     assert off_x_axis((there.root - shift) @ rotation).mean() < 0.08
     order = rng.permutation(len(points))
-    (again,) = find_seams(points[order], EYE).seams
+    (again,) = find_seams(points[order], FROM_EYE).seams
     np.testing.assert_allclose(again.root, here.root, atol=1e-6)
     holed = np.concatenate([points, np.full((5, 3), np.nan)])
-    (third,) = find_seams(holed, EYE).seams
+    (third,) = find_seams(holed, FROM_EYE).seams
     np.testing.assert_allclose(third.root, here.root, atol=1e-9)
 
 
@@ -97,14 +98,14 @@ def test_a_clamp_interrupts_a_seam_and_tacks_do_not_move_it():
     rng = np.random.default_rng(4)
     points = corner(rng, noise_mm=0.1)
     clamped = points[np.abs(points[:, 0] - 5) > 7]
-    (seam,) = find_seams(clamped, EYE).seams
+    (seam,) = find_seams(clamped, FROM_EYE).seams
     assert len(seam.interruptions) == 1 and seam.length_mm > 80
     (hole,) = seam.interruptions
     assert hole.end_mm - hole.start_mm == pytest.approx(14, abs=5)
     near = (np.hypot(points[:, 1], points[:, 2]) < 4) & (np.abs(points[:, 0] - 20) < 4)
     tacked = points.copy()
     tacked[near] += [0.0, -2.0, 2.0]
-    (seam,) = find_seams(tacked, EYE).seams
+    (seam,) = find_seams(tacked, FROM_EYE).seams
     assert off_x_axis(seam.root).max() < 0.3
 
 
@@ -123,7 +124,7 @@ def test_no_seam_on_a_pipe(radius, noise_mm):
     angle, x = np.meshgrid(np.arange(-1.2, 1.2, 1.0 / radius), np.arange(-60.0, 60.0))
     pipe = np.stack([x, radius * np.sin(angle), radius * np.cos(angle)], axis=-1).reshape(-1, 3)
     with pytest.raises(NoGrooveError):
-        find_seams(pipe + noise_mm * rng.standard_normal(pipe.shape), [0, 0, 400])
+        find_seams(pipe + noise_mm * rng.standard_normal(pipe.shape), FindSeamsOptions([0, 0, 400]))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -134,15 +135,15 @@ def test_no_seam_on_a_wavy_sheet(seed):
     z = sum(0.02 * w * np.cos(2 * np.pi / w * (x * np.cos(t) + y * np.sin(t)) + p) for w, t, p in waves)
     sheet = np.stack([x, y, z], axis=-1) + 0.1 * rng.standard_normal((*x.shape, 3))
     with pytest.raises(NoGrooveError):
-        find_seams(sheet, [0, 0, 400])
+        find_seams(sheet, FindSeamsOptions([0, 0, 400]))
 
 
 def test_a_kind_can_be_asked_for():
     rng = np.random.default_rng(7)
     points = corner(rng)
-    assert find_seams(points, EYE, "fillet").seams[0].kind in FAMILIES["fillet"]
+    assert find_seams(points, FindSeamsOptions(EYE, "fillet")).seams[0].kind in FAMILIES["fillet"]
     with pytest.raises(NoGrooveError, match=r"no butt in the cloud"):
-        find_seams(points, EYE, "butt")
+        find_seams(points, FindSeamsOptions(EYE, "butt"))
     with pytest.raises(InputError, match="joint 'bolt' is unknown"):
-        find_seams(points, EYE, "bolt")
+        find_seams(points, FindSeamsOptions(EYE, "bolt"))
     assert set(FAMILIES["any"]) == set(KINDS) and kinds_of("saddle") == ("saddle",)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.peers.laps import Answer, Laps
 from grindvision.clouds import read_cloud
-from grindvision.vision.seam.weld import trace_weld
+from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
 
 
 def groove(cloud: str, variant: str) -> Answer:
@@ -12,6 +12,6 @@ def groove(cloud: str, variant: str) -> Answer:
     lap = Laps()
     points = read_cloud(cloud).points
     lap("read")
-    found = trace_weld(points, variant=variant)
+    found = trace_weld(points, TraceWeldOptions(variant=variant))
     laps = {"groove": found.timings_s["detect"], "trajectory": found.timings_s["path"]}
     return {"labels": found.labels, "path": found.path.points, "laps_s": {**lap.laps_s, **laps}}

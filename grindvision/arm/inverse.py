@@ -14,10 +14,12 @@ from grindvision.arm.jacobians import joint_twists
 from grindvision.arm.mdh import MdhArm, joint_transforms
 from grindvision.errors import InputError
 from grindvision.geometry import check_rigid
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class InverseSolution:
     """Joint angles ``q_rad`` (n,) in -pi..pi that come nearest to a pose, and what is left: mm and rad."""

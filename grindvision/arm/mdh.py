@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import FileError, InputError, UnitError
 from grindvision.files import column_names, read_table, write_text
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ LIMITS = ("lower_rad", "upper_rad", "speed_rad_s")
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 
 
+@by_content
 @dataclass(frozen=True)
 class MdhArm:
     """A serial arm of revolute joints, some of which may be prismatic.
@@ -104,9 +106,23 @@ def read_arm(path: str | Path) -> MdhArm:
     ``upper_rad`` and ``speed_rad_s`` hold limits. The links of an arm of up to three joints may have no length at all:
     a positioner whose axes meet.
 
+    Args:
+        path: file.
+
+    Returns:
+        The arm, its table (n, 5) in mm and rad.
+
     Raises:
         FileError: missing, damaged, a column missing, text where a number belongs. UnitError: degrees among radians,
             or metres among millimetres.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from grindvision import read_arm
+        >>> rows = "joint,alpha_deg,a_mm,d_mm,theta_deg", "J1,0,0,320,0", "J2,-90,50,0,-90", "J3,0,270,0,0"
+        >>> _ = Path("robot.csv").write_text("\\n".join(rows))
+        >>> print(read_arm("robot.csv"))
+        arm of 3 revolute joints, links 640.0 mm in all
     """
     names = column_names(path)
     tilted = bool({"beta_rad", "beta_deg"} & set(names))

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from grindvision.errors import FileError
 from grindvision.geometry import rigid
 from grindvision.input_files import read_input
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Line = tuple[Floats, Floats]
@@ -36,6 +37,7 @@ KINDS = (*REVOLUTE, "prismatic", "fixed", "floating", "planar")
 ROLES = ("parent", "child")
 
 
+@by_content
 @dataclass(frozen=True)
 class UrdfJoint:
     """One joint of a URDF file: ``T_parent_joint`` (4, 4) at angle zero, in m; unit ``axis`` (3,) in its own frame."""

@@ -15,12 +15,14 @@ from grindvision.arm.urdf import REVOLUTE, UrdfJoint, robot_element, table_of_li
 from grindvision.errors import FileError
 from grindvision.files import write_text
 from grindvision.geometry import inverse, rigid
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 PRISMATIC = "prismatic"
 
 
+@by_content
 @dataclass(frozen=True)
 class UrdfChain:
     """Moving joints of a URDF file from a base link to a tip, as an ``arm`` in mm.

@@ -13,6 +13,7 @@ from grindvision.calibration.beyond_geometry import BeyondGeometry
 from grindvision.calibration.coarse import CoarseCalibration, best_fit, coarse_start, three_point
 from grindvision.calibration.estimate import Sigmas, noise_covariances, residuals_of, unit_sizes, whitened_jacobian
 from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_rows
+from grindvision.calibration.holding import Verification, VerifyOptions, read_cell, verify
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm
 from grindvision.calibration.measurement_files import read_measurements
@@ -52,6 +53,8 @@ __all__ = [
     "Sigmas",
     "Suggestion",
     "Unknowns",
+    "Verification",
+    "VerifyOptions",
     "analyse",
     "best_fit",
     "calibrate",
@@ -71,6 +74,7 @@ __all__ = [
     "noise_clumping",
     "noise_covariances",
     "on_test_rows",
+    "read_cell",
     "read_measurements",
     "residuals_of",
     "suggest_poses",
@@ -78,5 +82,6 @@ __all__ = [
     "three_point",
     "unit_sizes",
     "unknowns_of",
+    "verify",
     "whitened_jacobian",
 ]

@@ -46,6 +46,7 @@ from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, hon
 from grindvision.errors import InputError, UnitError
 from grindvision.geometry import inverse
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -91,6 +92,7 @@ class Options:
                 raise InputError(f"{name} is {value}; it must be above zero")
 
 
+@by_content
 @dataclass(frozen=True)
 class OffsetsAlone:
     """What to add to each joint's angle (n,), rad (prismatic: mm), when nothing else is corrected.
@@ -105,6 +107,7 @@ class OffsetsAlone:
     mean_mm: float
 
 
+@by_content
 @dataclass(frozen=True)
 class Calibration:
     """A calibrated cell and what is known about it.
@@ -198,9 +201,28 @@ def calibrate(
         options: what to estimate and how.
         start: the coarse calibration to start from; ``coarse_start`` of the training rows when left out.
 
+    Returns:
+        The calibrated cell, ``T_joint_scanner`` and ``T_tracker_base`` (4, 4) in mm and the corrected MDH table, with
+        covariance, rank, and what speaks against it.
+
     Raises:
         InputError, UnitError: the measurements do not fit the arm, or look like other units or a shifted pairing.
         DegenerateError: too few measurements for the unknowns, or all from one pose.
+
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import CalibrateOptions, Measurements, calibrate, read_arm
+        >>> from grindvision.calibration import ScannerOnArm
+        >>> from grindvision.data_files import data_folder
+        >>> from grindvision.geometry import rigid
+        >>> arm = read_arm(data_folder() / "robots" / "er3a_c60.csv").first(4)
+        >>> rng = np.random.default_rng(1)
+        >>> true = ScannerOnArm(arm, rigid(translation_mm=[20, -30, 90]), rigid(translation_mm=[900, 100, -400]))
+        >>> q_rad, seen_mm = rng.uniform(-1, 1, (40, 4)), rng.uniform(-30, 30, (40, 3)) + [0, 0, 400]
+        >>> shots = Measurements(q_rad, seen_mm, true.points_base(q_rad, seen_mm) + true.T_tracker_base[:3, 3])
+        >>> result = calibrate(shots, arm, CalibrateOptions(free=("theta2_rad", "theta3_rad")))
+        >>> bool(np.abs(result.cell.T_joint_scanner - true.T_joint_scanner).max() < 1e-3)
+        True
     """
     options = options or Options()
     unknowns = unknowns_of(measurements, arm, options)
@@ -292,6 +314,7 @@ def _judge_test_rows(fit: _Fit, unknowns: Unknowns, training: Measurements, meas
     return told
 
 
+@by_content
 @dataclass(frozen=True)
 class _Fit:
     cell: ScannerOnArm

@@ -21,6 +21,7 @@ from grindvision.calibration.joint_terms import (
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ FOLDS, MAX_ROWS = 4, 1200
 STANDARD_ERRORS = 2.0
 
 
+@by_content
 @dataclass(frozen=True)
 class BeyondGeometry:
     """A cell with joint terms: its ``kind`` in words, the unknowns and noise it was fitted with.

@@ -12,10 +12,12 @@ from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.errors import DegenerateError
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class HeldOut:
     """Residuals (H, 3) in mm of the held-out ``rows`` (H,), before and after; ``how`` says what was held out.

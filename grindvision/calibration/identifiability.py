@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
 
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class Identifiability:
     """Rank and null space of a whitened design matrix whose K columns were scaled to comparable units.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -21,6 +22,7 @@ KINDS: dict[str, type] = {"pose": str, "sphere": str, "train": bool, "reflector"
 _TOUCHED = ("reflector", "fixture", "bar_mm")
 
 
+@by_content
 @dataclass(frozen=True)
 class Measurements:
     """M sphere centres, each seen by the scanner on an arm of n joints and measured by a tracker.

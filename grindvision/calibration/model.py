@@ -14,6 +14,7 @@ from grindvision.calibration.joint_terms import JointCorrections, JointTerm, bas
 from grindvision.calibration.measurements import Measurements
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, skew, small_motion
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ BLOCK = 512
 _MOTION = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 
 
+@by_content
 @dataclass(frozen=True)
 class ScannerOnArm:
     """An arm, the scanner on its last joint (``T_joint_scanner``) and the tracker looking on (``T_tracker_base``).
@@ -167,6 +169,7 @@ def unknowns_for(measurements: Measurements, table: tuple[int, ...], base_fixed:
     return Unknowns(scanner, table, base, reflectors=measurements.reflectors, fixtures=measurements.fixtures)
 
 
+@by_content
 @dataclass(frozen=True)
 class CarriedPoints:
     """M points of the scanner's frame carried through a cell: what residuals and Jacobians have in common.

@@ -11,10 +11,12 @@ from grindvision.calibration.estimate import Sigmas, joint_noise_jacobian, row_c
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints
 from grindvision.calibration.statistics import whitening
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class PoseWhitening:
     """Scales columns (M, 3, c) of residuals or of a Jacobian to unit noise that is independent from row to row.

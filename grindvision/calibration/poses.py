@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class PoseChoice:
     """``chosen`` (count,) numbers of candidates, ascending; ``log_determinant`` of their information, and at ``start``.

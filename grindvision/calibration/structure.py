@@ -19,6 +19,7 @@ from grindvision.calibration.joint_terms import bases_of, coupling_terms, sag_te
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints, ScannerOnArm, Unknowns, carried
 from grindvision.calibration.pose_whitening import pose_whitening
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Describe = Callable[[Floats], tuple[float, str]]
@@ -33,6 +34,7 @@ MAX_FINDINGS, MAX_ROWS = 4, 3000
 JUMPS = 150
 
 
+@by_content
 @dataclass(frozen=True)
 class Finding:
     """A structure in the residuals: its ``kind``, how far it moves points (rms, mm), and a sentence for a person.
@@ -49,6 +51,7 @@ class Finding:
     bias: Floats
 
 
+@by_content
 @dataclass(frozen=True)
 class _Effect:
     kind: str

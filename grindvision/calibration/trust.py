@@ -14,6 +14,7 @@ from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import carry
 from grindvision.calibration.uncertainty import MEAN_OF_RMS
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ FAR_WORSE = 1.5
 TRIED, ENOUGH = 40_000, 40
 
 
+@by_content
 @dataclass(frozen=True)
 class Foreseen:
     """Errors foreseen at P poses ``q_rad`` (P, n), mm: ``rms_mm`` (P,) at points ``base_mm`` (P, 3), base frame.
@@ -121,6 +123,7 @@ def doubt_about(foreseen: Foreseen, stated_mean_mm: float) -> list[str]:
     ]
 
 
+@by_content
 @dataclass(frozen=True)
 class Suggestion:
     """Poses ``q_rad`` (N, n) to measure next, best first, and the mean error in mm foreseen after each."""

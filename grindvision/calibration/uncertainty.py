@@ -31,6 +31,7 @@ from grindvision.calibration.joint_terms import (
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns, carried, carry
 from grindvision.calibration.structure import Finding
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +45,7 @@ ONE_SIGMA = 0.6827
 PULLING = ("drift", "jump", "scanner scale", "tracker scale", "sphere", "coupling")
 
 
+@by_content
 @dataclass(frozen=True)
 class ModelError:
     """What joints do beyond their geometry, where the fit has no unknowns for it: gear waves and sag, ``terms``.

@@ -20,6 +20,7 @@ from grindvision.cell.rays import Target
 from grindvision.cell.scan import Scan, Sighting
 from grindvision.cell.scanner_errors import SOURCES, ScannerErrors
 from grindvision.cell.scanners import DepthCamera, Scanner, StructuredLightScanner
+from grindvision.cell.simulation import SUBJECTS, SimulateOptions, simulate
 from grindvision.cell.solids import Solid, assembled
 from grindvision.cell.spheres import measure_sphere, scan_sphere, sphere_centre_errors, sphere_on_nest
 from grindvision.cell.views import view_from
@@ -35,6 +36,7 @@ __all__ = [
     "KINDS",
     "POSITIONS_MM",
     "SOURCES",
+    "SUBJECTS",
     "WORKPIECES",
     "Bead",
     "CalibrationExperiment",
@@ -54,6 +56,7 @@ __all__ = [
     "Scanner",
     "ScannerErrors",
     "Sighting",
+    "SimulateOptions",
     "Solid",
     "StructuredLightScanner",
     "Target",
@@ -80,6 +83,7 @@ __all__ = [
     "printed_path",
     "scan_sphere",
     "scanned_pair",
+    "simulate",
     "sphere_centre_errors",
     "sphere_on_nest",
     "true_arm",

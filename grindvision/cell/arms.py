@@ -12,6 +12,7 @@ from grindvision.arm import MdhArm, forward, read_arm
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.data_files import data_folder
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +37,7 @@ def true_arm() -> MdhArm:
     return nominal_arm().changed_by(paper.mdh_corrections())
 
 
+@by_content
 @dataclass(frozen=True)
 class LaserTracker:
     """A tracker like the AT960: noise ``fixed_um`` plus ``per_metre_um`` times the distance, one sigma per axis.
@@ -58,6 +60,7 @@ class LaserTracker:
         return seen + noise[:, None] * rng.standard_normal(points.shape)
 
 
+@by_content
 @dataclass(frozen=True)
 class GrindingRobot:
     """The arm with the scanner on joint 4: what the controller believes, and what is true.

@@ -13,6 +13,7 @@ from grindvision.cell.arms import JOINT_LIMITS_RAD, GrindingRobot, LaserTracker
 from grindvision.cell.spheres import SPHERE_RADIUS_MM, measure_sphere, nest_directions, sphere_centre_errors
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import inverse, move_points, small_motion
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -24,6 +25,7 @@ LAYERS_MM = (-100.0, 0.0, 100.0)
 LAYER_POSITIONS = ((-80.0, 560.0), (-50.0, 660.0), (-20.0, 560.0))
 
 
+@by_content
 @dataclass(frozen=True)
 class CalibrationPlan:
     """Who measures what from where: one row per measurement.
@@ -44,6 +46,7 @@ class CalibrationPlan:
         )
 
 
+@by_content
 @dataclass(frozen=True)
 class CalibrationExperiment:
     """A measurement table as ``grindvision calibrate`` reads it, and the truth behind it.

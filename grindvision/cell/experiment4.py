@@ -26,6 +26,7 @@ from grindvision.geometry import (
     rotation_about,
     vector_angle,
 )
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +51,7 @@ MAX_DRAWS = 20
 LOOK_EVERY, LOOK_MM = 6, 2.5
 
 
+@by_content
 @dataclass(frozen=True)
 class PrintedPath:
     """The path of Table 3 made usable, in the scanner frame (mm).

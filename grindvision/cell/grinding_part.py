@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from grindvision.cell.solids import Shape, Solid, check_size, height_field, swept
 from grindvision.errors import InputError
 from grindvision.extras import extra
+from grindvision.records import by_content
 
 with extra("sim"):
     import manifold3d as m3
@@ -34,6 +35,7 @@ BEAD_PLACE = (0.0, -14.0, 25.0)
 STATION_MM = 0.25
 
 
+@by_content
 @dataclass(frozen=True)
 class Bead:
     """Weld bead with parabolic cross-section: ``ridge_mm`` (K, 3) and unit surface ``normals`` (K, 3) along it.

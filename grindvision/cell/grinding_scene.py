@@ -16,6 +16,7 @@ from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.cell.views import view_from
 from grindvision.errors import InputError
 from grindvision.geometry import angle_between, inverse, move_points, rotate_vectors
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ Floats = NDArray[np.float64]
 SAME_SPOT_MM = 1.0
 
 
+@by_content
 @dataclass(frozen=True)
 class GrindingScene:
     """Scans of the sample and of the test part, each in its own scanner frame (mm); the world frame is the part's.

@@ -12,20 +12,21 @@ from numpy.typing import NDArray
 from grindvision.cell.solids import Shape, Solid, box, check_size, swept
 from grindvision.errors import InputError
 from grindvision.geometry import rotation_about
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 #: The kinds, by the names that the detector gives them.
 JOINTS = (
+    "u-groove",
+    "bevel-groove",
+    "butt-gap",
     "t-joint",
     "lap-joint",
-    "butt-gap",
     "inside-corner",
     "outside-corner",
     "tube-on-plate",
     "saddle",
-    "bevel-groove",
-    "u-groove",
 )
 
 #: Spacing of the stations of a root line, mm; segments of a full circle.
@@ -64,6 +65,7 @@ class JointSize:
             raise InputError(f"the branch's radius {self.branch_mm} mm is not below the tube's, {self.radius_mm} mm")
 
 
+@by_content
 @dataclass(frozen=True)
 class JointPiece:
     """A piece in its own frame (mm, z up) and the truth of its seam.

@@ -16,6 +16,7 @@ from grindvision.cell.scanners import DepthCamera, Scanner
 from grindvision.cell.views import view_from
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import inverse, move_points, rotate_vectors
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ NEAR_MM = 12.0
 SPATTER_REACH_MM, SPATTER_MM = 25.0, 1.5
 
 
+@by_content
 @dataclass(frozen=True)
 class JointScene:
     """What the camera measured, and the truth in the camera frame (mm).

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from grindvision.cell.solids import Solid
 from grindvision.extras import extra
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 with extra("sim"):
     import open3d as o3d
@@ -25,6 +26,7 @@ Singles = NDArray[np.float32]
 LIFT_MM = 0.005
 
 
+@by_content
 @dataclass(frozen=True)
 class Hits:
     """What rays met: ``ray`` (N,) index of each ray that hit, ``distance`` (N,) in ray lengths, ``triangle`` (N,)."""

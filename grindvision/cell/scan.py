@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import move_points
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -18,6 +19,7 @@ Flags = NDArray[np.bool_]
 NO_SURFACE = -1
 
 
+@by_content
 @dataclass(frozen=True)
 class Sighting:
     """What an instrument without errors would see: the rays that hit something in range, before any noise.
@@ -39,6 +41,7 @@ class Sighting:
     T_world_scanner: Floats
 
 
+@by_content
 @dataclass(frozen=True)
 class Scan:
     """One measurement with its truth.

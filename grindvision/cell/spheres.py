@@ -17,6 +17,7 @@ from grindvision.errors import DegenerateError, SightError
 from grindvision.extras import extra
 from grindvision.geometry import SphereFit, inverse, move_points, rigid, rotate_vectors
 from grindvision.geometry.ransac import ransac_sphere
+from grindvision.records import by_content
 
 with extra("sim"):
     import manifold3d as m3
@@ -84,6 +85,7 @@ def scan_sphere(
     return scanner.measure(scanner.sight(_sphere_target(), T_sphere_scanner, every, window), rng)
 
 
+@by_content
 @dataclass(frozen=True)
 class SphereMeasurement:
     """``centre_mm`` (3,) as fitted in the scanner frame, and the truth: ``T_base_scanner`` (4, 4) after the move."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from grindvision.cell.solids import Shape, Solid, box, check_size, swept
 from grindvision.errors import InputError
 from grindvision.extras import extra
+from grindvision.records import by_content
 
 with extra("sim"):
     import manifold3d as m3
@@ -74,6 +75,7 @@ class Groove:
             )
 
 
+@by_content
 @dataclass(frozen=True)
 class WeldPiece:
     """A piece in its own frame (mm, z up) and the truth of its groove.

@@ -16,6 +16,7 @@ from grindvision.cell.views import view_from
 from grindvision.cell.weld_pieces import GROOVE, Groove, WeldPiece, weld_piece
 from grindvision.errors import SightError
 from grindvision.geometry import inverse, move_points, rotate_vectors, vector_angle
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +30,7 @@ VISIBLE_DEG = 70.0
 NEAR_MM = 8.0
 
 
+@by_content
 @dataclass(frozen=True)
 class WeldScene:
     """What the camera measured, and the truth in the camera frame (mm).

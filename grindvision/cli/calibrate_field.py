@@ -62,7 +62,12 @@ def run(options: argparse.Namespace) -> int:
 
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points
-    from grindvision.vision.depth_calibration.field_correction import calibrate_field, held_out_rms_mm, write_field
+    from grindvision.vision.depth_calibration.field_correction import (
+        CalibrateFieldOptions,
+        calibrate_field,
+        held_out_rms_mm,
+        write_field,
+    )
 
     draw = drawing("calibrate_field_picture")
     with Run(options, ("plates",), ("numpy", "scipy", "numba", "matplotlib"), 5) as work:
@@ -70,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
             clouds = read_scans(options.plates, options.unit)
             plates = [finite_points(cloud, path) for cloud, path in zip(clouds, options.plates, strict=True)]
         with work.stage("calibrate"):
-            field = calibrate_field(plates, options.steps_mm, options.distance_mm)
+            field = calibrate_field(plates, options.steps_mm, CalibrateFieldOptions(options.distance_mm))
         unseen = None
         if len(plates) > 2:
             with work.stage("held_out"):

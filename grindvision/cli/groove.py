@@ -107,8 +107,8 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
-    from grindvision.motion.trajectory import tool_trajectory
-    from grindvision.vision.seam.weld import trace_weld
+    from grindvision.motion.trajectory import ToolTrajectoryOptions, tool_trajectory
+    from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
 
     draw = drawing("groove_picture")
     job = robot_job(options)
@@ -124,9 +124,10 @@ def run(options: argparse.Namespace) -> int:
                 points = corrected(field, cloud, points, options.cloud)
         for doubt in pose_doubts(job.T_base_scanner, points) if job else []:
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
-        weld = trace_weld(
-            points, options.waypoints, options.variant, options.viewpoint, None, options.width, options.joint
+        settings = TraceWeldOptions(
+            options.waypoints, options.variant, options.viewpoint, None, options.width, options.joint
         )
+        weld = trace_weld(points, settings)
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels
         labels[copies] = labels[originals]
@@ -134,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
         steady_mm = STEADY_MM if options.variant == "ours" else 0.0
         with work.stage("torch"):
             trajectories = [
-                tool_trajectory(path.points, path.normals, closed=path.closed, steady_mm=steady_mm)
+                tool_trajectory(path.points, path.normals, ToolTrajectoryOptions(path.closed, steady_mm=steady_mm))
                 for path in weld.paths
             ]
         results = _results(weld, labels)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.scans import read_pose
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,10 +20,8 @@ if TYPE_CHECKING:
 
 PROGRAMS = ("csv", "json", "urscript")
 
-#: Acceleration of every joint of an arm from a table, rad/s^2, a gentle setting; thickness of its links, mm.
-ACCELERATION_RAD_S2, LINK_RADIUS_MM = 2.0, 60.0
 
-
+@by_content
 @dataclass(frozen=True)
 class RobotJob:
     """What was asked for: the robot with its torch, the format of the programme, and where everything stands (mm)."""
@@ -36,19 +35,17 @@ class RobotJob:
 
     def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
         """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
-        import numpy as np
-
         from grindvision.geometry import move_points
-        from grindvision.motion import plan_motion, scanned
+        from grindvision.motion import PlanMotionOptions, plan_motion, scanned
 
-        return plan_motion(
-            self.robot,
-            trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1),
-            np.random.default_rng(self.seed),
+        settings = PlanMotionOptions(
             tool_speed_mm_s=self.torch_speed_mm_s,
-            obstacles=[scanned("work", move_points(self.T_base_scanner, points))],
+            obstacles=(scanned("work", move_points(self.T_base_scanner, points)),),
             table_top_mm=self.table_top_mm,
+            seed=self.seed,
         )
+        fine = trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1)
+        return plan_motion(self.robot, fine, settings)
 
     def write(self, motion: Motion, folder: Path) -> str:
         """Write ``program`` with the format's ending into the folder; returns the file's name."""
@@ -112,19 +109,10 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         return None
     if options.scanner_pose is None:
         raise InputError("--robot needs --scanner-pose: where the scanner stood in the robot's base frame")
-    from grindvision.motion import UR_JOINTS, ur3, urdf_robot, welding_torch
+    from grindvision.motion import UR_JOINTS, LoadRobotOptions, load_robot
 
     T_base_scanner = read_pose(options.scanner_pose)
-    if options.robot == "ur3":
-        if options.flange is not None:
-            raise InputError("--flange is for a URDF file; the flange of ur3 is known")
-        robot = ur3(welding_torch())
-    elif Path(options.robot).suffix.lower() == ".csv":
-        if options.flange is not None:
-            raise InputError("--flange is for a URDF file; a table ends at its last joint")
-        robot = _table_robot(options.robot)
-    else:
-        robot = urdf_robot(options.robot, welding_torch(), flange=options.flange or "tool0")
+    robot = load_robot(options.robot, LoadRobotOptions(flange=options.flange))
     form = options.program or "csv"
     if form == "urscript" and robot.joints != UR_JOINTS:
         raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript; choose csv or json")
@@ -137,22 +125,6 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     if options.send is not None and form != "urscript":
         raise InputError(f"--send hands URScript over, not {form}; give --program urscript as well")
     return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0)
-
-
-def _table_robot(path: str) -> Robot:
-    """Arm of a modified DH table with joint limits beside it; its links are capsules from joint to joint."""
-    from grindvision.arm import read_arm
-    from grindvision.files import read_table
-    from grindvision.motion import JointLimits, mdh_robot, welding_torch
-
-    arm = read_arm(path)
-    table = read_table(path, ("lower_rad", "upper_rad", "speed_rad_s"))
-    lower, upper, speed = (table[name].to_numpy() for name in ("lower_rad", "upper_rad", "speed_rad_s"))
-    try:
-        limits = JointLimits(lower, upper, speed, 0 * speed + ACCELERATION_RAD_S2)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return mdh_robot(Path(path).stem, arm, welding_torch(), limits, LINK_RADIUS_MM)
 
 
 def send_if_agreed(motion: Motion, options: argparse.Namespace) -> None:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, whole
 from grindvision.cli.report import Run, add_output_arguments
-from grindvision.errors import InputError
 from grindvision.vision.seam.joint_names import KINDS, V_GROOVE
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from grindvision.cell import CalibrationExperiment, GrindingScene, JointScene, WeldScene
 
 #: Joints that can be simulated: all that the detector knows but the V-groove, which the four pieces have.
@@ -62,64 +58,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate and write; returns 0."""
     check_count("--seed", options.seed, 0, 10**18)
-    if options.joint is not None and options.subject != "welding":
-        raise InputError(f"--joint {options.joint} is for welding; {options.subject} has no joints")
-    if options.camera is not None and options.joint is None:
-        raise InputError(f"--camera {options.camera} is for a joint; give --joint as well")
 
-    import numpy as np
-
+    from grindvision.cell.simulation import SimulateOptions, simulate
     from grindvision.cli.pictures import drawing
 
     draw = drawing("simulate_picture")
-    subjects: dict[str, tuple[Callable[[np.random.Generator], Any], Callable[..., None]]] = {
-        "grinding": (_grinding_scene, _write_grinding),
-        "welding": (_weld_scenes, _write_welding),
-        "calibration": (_calibration_experiment, _write_calibration),
-    }
-    make, write = subjects[options.subject]
-    if options.joint is not None:
-        kinds = JOINTS if options.joint == "all" else (options.joint,)
-        make, write = partial(_joint_scenes, kinds, options.camera == "fine"), _write_joints
+    what = "joints" if options.joint else options.subject
+    settings = SimulateOptions(options.seed, joint=options.joint, camera=options.camera)
     with Run(options, (), ("numpy", "scipy", "matplotlib"), 4) as work:
         with work.stage("simulate"):
-            made = make(np.random.default_rng(options.seed))
+            made: Any = simulate(options.subject, settings)
         with work.stage("write"):
-            write(made, work.place, options.seed)
+            WRITERS[what](made, work.place, options.seed)
         with work.stage("picture"):
-            draw(made, "joints" if options.joint else options.subject, options.seed, work.place / "report.png")
+            draw(made, what, options.seed, work.place / "report.png")
         message = "; ".join(str(one) for one in made.values()) if isinstance(made, dict) else str(made)
         work.report(message, {"seed": options.seed, "origin": "synthetic"}, {})
     return 0
-
-
-def _grinding_scene(rng: np.random.Generator) -> GrindingScene:
-    from grindvision import cell
-
-    return cell.grinding_scene(rng)
-
-
-def _weld_scenes(rng: np.random.Generator) -> dict[str, WeldScene]:
-    from grindvision import cell
-
-    return {kind: cell.weld_scene(kind, own) for kind, own in zip(cell.KINDS, rng.spawn(len(cell.KINDS)), strict=True)}
-
-
-def _joint_scenes(kinds: Sequence[str], fine: bool, rng: np.random.Generator) -> dict[str, JointScene]:
-    from grindvision import cell
-
-    camera = cell.StructuredLightScanner() if fine else None
-    distance_mm = 400.0 if fine else 450.0
-    scenes = {}
-    for kind, own in zip(kinds, rng.spawn(len(kinds)), strict=True):
-        scenes[kind] = cell.joint_scene(kind, own, camera=camera, distance_mm=distance_mm)
-    return scenes
-
-
-def _calibration_experiment(rng: np.random.Generator) -> CalibrationExperiment:
-    from grindvision import cell
-
-    return cell.calibration_experiment(rng)
 
 
 def _write_grinding(scene: GrindingScene, folder: Path, seed: int) -> None:
@@ -230,3 +185,11 @@ def _write_calibration(experiment: CalibrationExperiment, folder: Path, seed: in
     write_text(folder / "measurements.csv", table)
     write_arm(robot.nominal, folder / "robot.csv")
     write_json(folder / "truth.json", truth)
+
+
+WRITERS: dict[str, Callable[..., None]] = {
+    "grinding": _write_grinding,
+    "welding": _write_welding,
+    "joints": _write_joints,
+    "calibration": _write_calibration,
+}

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from grindvision.records import by_content
+
 Floats = NDArray[np.float64]
 
 POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 PCD_NORMAL = ("normal_x", "normal_y", "normal_z")
 
 
+@by_content
 @dataclass(frozen=True)
 class Content:
     """Points (N, 3) and, where the file has them, normals (N, 3), in the file's own unit.

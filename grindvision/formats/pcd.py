@@ -23,6 +23,7 @@ from grindvision.formats.records import (
 )
 from grindvision.input_files import bytes_left, check_memory
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 #: NumPy types by TYPE and SIZE of a field.
 PCD_TYPES = {
@@ -34,6 +35,7 @@ LARGEST_RATIO = 88
 MOST_VALUES_PER_POINT = 4096
 
 
+@by_content
 @dataclass(frozen=True)
 class _Header:
     """Columns one by one (a field with COUNT 3 gives three), their number, and how the table is stored."""

@@ -19,6 +19,7 @@ from grindvision.formats.records import (
 )
 from grindvision.formats.records import text_lines as next_lines
 from grindvision.input_files import bytes_left
+from grindvision.records import by_content
 
 PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -28,6 +29,7 @@ PLY_TYPES = {
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
+@by_content
 @dataclass(frozen=True)
 class _Element:
     name: str

@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry.transforms import rigid
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
+@by_content
 @dataclass(frozen=True)
 class RigidFit:
     """The rigid motion that best maps one point list onto another.
@@ -29,6 +31,7 @@ class RigidFit:
         return f"rigid fit of {len(self.residuals_mm)} pairs: rms {self.rms_mm:.3g} mm"
 
 
+@by_content
 @dataclass(frozen=True)
 class PlaneFit:
     """Plane ``normal . p = offset_mm`` with unit ``normal`` (3,), ``covariance`` (3, 3) of tilt, tilt and offset.
@@ -53,6 +56,7 @@ class PlaneFit:
         return f"plane through {int(self.inliers.sum())} points: rms {self.rms_mm:.3g} mm"
 
 
+@by_content
 @dataclass(frozen=True)
 class SphereFit:
     """Sphere with ``centre_mm`` (3,) and ``radius_mm``; ``centre_covariance`` (3, 3) in mm squared.

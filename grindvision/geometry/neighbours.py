@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import InputError
 from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, cell_key, find_slot
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@by_content
 @dataclass(frozen=True)
 class Neighbourhoods:
     """Neighbours of M queries: those of query i are ``indices[starts[i]:starts[i + 1]]``.

@@ -11,13 +11,14 @@ from typing import Any
 _HOMES = {
     "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
     "follow": ("JointPath", "follow_trajectory", "start_angles"),
-    "plan": ("Motion", "plan_motion"),
+    "plan": ("Motion", "PlanMotionOptions", "plan_motion"),
     "programme": ("SUFFIXES", "UR_JOINTS", "csv_text", "json_content", "urscript", "write_programme"),
     "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
+    "robot_files": ("LoadRobotOptions", "load_robot"),
     "sender": ("UR_PORT", "Delivery", "announcement", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),
     "tool": ("Tool", "grinding_spindle", "welding_torch"),
-    "trajectory": ("Trajectory", "tool_trajectory"),
+    "trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

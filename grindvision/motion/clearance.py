@@ -12,6 +12,7 @@ from grindvision.errors import InputError
 from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid
 from grindvision.motion.robot import Robot
+from grindvision.records import by_content
 
 with extra("robot"):
     import coal
@@ -20,6 +21,7 @@ with extra("robot"):
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class Obstacle:
     """Something that stands still: a coal ``shape`` in mm whose frame lies at ``T_base_shape``."""
@@ -32,6 +34,7 @@ class Obstacle:
         return f"obstacle {self.name}"
 
 
+@by_content
 @dataclass(frozen=True)
 class Clearance:
     """Least distance in mm at each of N joint positions, below zero where bodies overlap.

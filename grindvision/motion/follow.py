@@ -13,6 +13,7 @@ from grindvision.geometry import vector_angle
 from grindvision.motion.robot import TOOL_FRAME, Robot
 from grindvision.motion.trajectory import Trajectory
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 with extra("robot"):
     import pinocchio as pin
@@ -31,6 +32,7 @@ _STEP_S = 0.15  # a solver step may turn a joint as far as it can go in this tim
 _STEPS = 80
 
 
+@by_content
 @dataclass(frozen=True)
 class JointPath:
     """Joint angles ``q_rad`` (N, n) that hold the tool at each worked pose of ``trajectory``, on one branch.

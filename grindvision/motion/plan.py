@@ -9,16 +9,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import CollisionError, InputError, UnreachableError
+from grindvision.loose_settings import settings_in
 from grindvision.motion.clearance import Clearance, Obstacle, measure_clearance, table
 from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
 from grindvision.motion.robot import Robot
 from grindvision.motion.timing import TimeLaw, time_law
 from grindvision.motion.trajectory import Trajectory
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
+@dataclass(frozen=True)
+class PlanMotionOptions:
+    """Settings of ``plan_motion``, lengths in mm, base frame.
+
+    ``tool_speed_mm_s`` along the seam; ``obstacles`` beside the table, whose top is at z = ``table_top_mm``; the tool
+    backs off by ``backed_off_mm`` before and behind the seam; ``least_clearance_mm`` is kept to everything.
+    ``spin_free``: the tool may turn about its own axis, as a round one may. ``seed`` of the random start angles.
+    """
+
+    tool_speed_mm_s: float = 8.0
+    obstacles: Sequence[Obstacle] = ()
+    table_top_mm: float = 0.0
+    backed_off_mm: float = 40.0
+    least_clearance_mm: float = 2.0
+    spin_free: bool = False
+    seed: int | np.random.Generator = 0
+
+    def __post_init__(self) -> None:
+        if not self.backed_off_mm > 0:
+            raise InputError(f"the way in and out is {self.backed_off_mm:.4g} mm; give a length above 0")
+        if not 0 < self.tool_speed_mm_s < np.inf:
+            raise InputError(f"the tool's speed is {self.tool_speed_mm_s:.4g} mm/s; give a number above 0")
+
+
+@by_content
 @dataclass(frozen=True)
 class Motion:
     """A checked motion of ``robot`` along ``path.trajectory``.
@@ -43,39 +71,45 @@ class Motion:
         return f"{self.robot.name}: {self.path}; {self.clearance}; {self.timing}"
 
 
+@settings_in(PlanMotionOptions, 2, ("seed",))
 @one_blas_thread()
-def plan_motion(
-    robot: Robot,
-    trajectory: Trajectory,
-    rng: np.random.Generator,
-    *,
-    tool_speed_mm_s: float,
-    obstacles: Sequence[Obstacle] = (),
-    table_top_mm: float = 0.0,
-    backed_off_mm: float = 40.0,
-    least_clearance_mm: float = 2.0,
-    spin_free: bool = False,
-) -> Motion:
-    """Follow the trajectory on one branch of the arm, clear of the table, the ``obstacles`` and itself.
+def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions | None = None) -> Motion:
+    """Follow the trajectory on one branch of the arm, clear of the table, the obstacles and itself.
 
     Every branch that ``start_angles`` finds is followed. They are ranked by their room to the table and the arm
-    itself, in steps of 10 mm, then by how little the joints travel; the first that keeps ``least_clearance_mm`` to
-    everything wins.
+    itself, in steps of 10 mm, then by how little the joints travel; the first that keeps the clearance to everything
+    wins.
+
+    Args:
+        robot: arm with its tool, see ``load_robot``.
+        trajectory: poses ``T_base_tool`` (N, 4, 4) in the arm's base frame, mm.
+        options: speed, obstacles, table, clearance, seed; see ``PlanMotionOptions``.
+
+    Returns:
+        Joint angles (N, n) in rad, with the way in and out, the clearance in mm, and times in s.
 
     Raises:
         CollisionError: the groove lies below the table's top, or no branch keeps the clearance.
         UnreachableError: no branch follows the trajectory; the complaint is that of the first one tried.
-        InputError: a length that is not above zero.
+
+    Example:
+        >>> from grindvision import PlanMotionOptions, load_robot, plan_motion, tool_trajectory
+        >>> seam_mm = [(300, y, 60) for y in (-40, -20, 0, 20, 40)]
+        >>> trajectory = tool_trajectory(seam_mm, [(0, 0, 1)] * 5)
+        >>> motion = plan_motion(load_robot("ur3"), trajectory, PlanMotionOptions(tool_speed_mm_s=10.0))
+        >>> motion.path.q_rad.shape, bool(motion.path.position_error_mm.max() < 0.01)
+        ((5, 6), True)
     """
-    if not backed_off_mm > 0:
-        raise InputError(f"the way in and out is {backed_off_mm:.4g} mm; give a length above 0")
+    options = PlanMotionOptions() if options is None else options
+    rng, spin_free = np.random.default_rng(options.seed), options.spin_free
+    table_top_mm, least_clearance_mm = options.table_top_mm, options.least_clearance_mm
     _check_above_table(trajectory, table_top_mm)
     followed: list[tuple[JointPath, Floats]] = []
     complaints: list[UnreachableError] = []
     for start in start_angles(robot, trajectory.T_base_tool[0], rng, spin_free=spin_free):
         try:
             path = follow_trajectory(robot, trajectory, start, spin_free=spin_free)
-            ends = [_backed_off(robot, path, row, backed_off_mm, spin_free) for row in (0, -1)]
+            ends = [_backed_off(robot, path, row, options.backed_off_mm, spin_free) for row in (0, -1)]
         except UnreachableError as error:
             complaints.append(error)
         else:
@@ -86,9 +120,9 @@ def plan_motion(
     followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).least_mm // 10), _travel(one[1])))
     blocked: list[Clearance] = []
     for path, q in followed:
-        free = measure_clearance(robot, q, [the_table, *obstacles])
+        free = measure_clearance(robot, q, [the_table, *options.obstacles])
         if free.least_mm >= least_clearance_mm:
-            return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, tool_speed_mm_s))
+            return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, options.tool_speed_mm_s))
         blocked.append(free)
     tightest = max(blocked, key=lambda one: one.least_mm)
     first, second = tightest.nearest[tightest.tightest]

@@ -27,11 +27,22 @@ UR_JOINTS = tuple(
 
 
 def write_programme(motion: Motion, path: str | Path, form: str) -> None:
-    """Write the motion to ``path`` as "csv", "json" or "urscript".
+    """Write a motion as a file that a robot or a spreadsheet reads, whole or not at all.
+
+    Args:
+        motion: joint angles in rad, poses in mm in the arm's base frame, times in s.
+        path: file.
+        form: ``csv``, ``json`` or ``urscript``.
 
     Raises:
         InputError: an unknown format, or URScript for an arm that is none of Universal Robots'.
         FileError: the file cannot be written.
+
+    Example:
+        >>> from grindvision import load_robot, plan_motion, tool_trajectory, write_programme
+        >>> seam_mm = [(300, y, 60) for y in (-40, -20, 0, 20, 40)]
+        >>> motion = plan_motion(load_robot("ur3"), tool_trajectory(seam_mm, [(0, 0, 1)] * 5))
+        >>> write_programme(motion, "weld.script", "urscript")
     """
     if form == "csv":
         write_text(path, csv_text(motion))

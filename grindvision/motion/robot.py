@@ -16,6 +16,7 @@ from grindvision.errors import FileError, InputError
 from grindvision.extras import extra
 from grindvision.geometry import check_rigid, rigid
 from grindvision.motion.tool import Tool
+from grindvision.records import by_content
 
 with extra("robot"):
     import coal
@@ -30,6 +31,7 @@ TOOL_FRAME = "tool"
 DEFAULT_ACCELERATION = 2.0
 
 
+@by_content
 @dataclass(frozen=True)
 class JointLimits:
     """Limits of n joints: angles in rad, speed in rad/s, acceleration in rad/s^2, each (n,)."""
@@ -65,6 +67,7 @@ ER3A_LIMITS = JointLimits(
 )
 
 
+@by_content
 @dataclass(frozen=True)
 class Robot:
     """A serial arm of revolute joints that carries a tool.

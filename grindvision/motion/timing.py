@@ -11,6 +11,7 @@ from grindvision.errors import DegenerateError, InputError
 from grindvision.extras import extra
 from grindvision.motion.follow import JointPath
 from grindvision.motion.robot import JointLimits
+from grindvision.records import by_content
 
 with extra("robot"):
     import toppra
@@ -26,6 +27,7 @@ TOOL_ACCELERATION = 100.0
 _USED = 0.99
 
 
+@by_content
 @dataclass(frozen=True)
 class TimeLaw:
     """A timed run along a joint path, sampled at M even instants.

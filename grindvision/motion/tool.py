@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_rigid, rigid
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 Capsule = tuple[tuple[float, float, float], tuple[float, float, float], float]
 
 
+@by_content
 @dataclass(frozen=True)
 class Tool:
     """A tool on the flange: ``T_flange_tool`` (4, 4) in mm leads to its tip, whose z axis points out into the work.

@@ -11,10 +11,13 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, check_rigid, rotation_about
+from grindvision.loose_settings import settings_in
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class Trajectory:
     """Poses of the tool along a seam, in the order they are worked.
@@ -94,39 +97,68 @@ class Trajectory:
         return f"{shape} trajectory of {len(self.T_base_tool)} way points, {self.arc_mm[-1]:.1f} mm long"
 
 
-def tool_trajectory(
-    positions_mm: ArrayLike,
-    normals: ArrayLike,
-    *,
-    closed: bool = False,
-    work_angle_rad: float = 0.0,
-    travel_angle_rad: float = 0.0,
-    steady_mm: float = 0.0,
-) -> Trajectory:
-    """Tool frames at way points (N, 3) in mm with outward surface normals (N, 3), both in one frame, in working order.
+@dataclass(frozen=True)
+class ToolTrajectoryOptions:
+    """Settings of ``tool_trajectory``.
 
-    z is opposite to the normal, x is the seam's direction freed from its part along the normal, y completes the right
-    hand: between way points the frame turns only as the seam and the surface turn. ``work_angle_rad`` then tilts the
-    tool about x, ``travel_angle_rad`` about y; above zero the tool points forward along the seam (pushing), below it
-    drags.
-
+    ``closed``: the last way point leads back to the first. ``work_angle_rad`` tilts the tool about its x axis, along
+    the seam, ``travel_angle_rad`` about y; above zero the tool points forward along the seam (pushing), below it drags.
     ``steady_mm`` above zero takes normal and direction at each way point from a parabola through all of them, weighted
     by a Gaussian of that standard deviation along the seam: noise of single normals then no longer shakes the tool. The
     tip stays on the way points.
+    """
+
+    closed: bool = False
+    work_angle_rad: float = 0.0
+    travel_angle_rad: float = 0.0
+    steady_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, angle in (("work", self.work_angle_rad), ("travel", self.travel_angle_rad)):
+            if not abs(angle) < np.pi / 2:
+                raise InputError(f"the {name} angle is {angle:.4g} rad; it must lie within 1.57 rad (90 degrees)")
+        if not 0 <= self.steady_mm < np.inf:
+            raise InputError(f"steady_mm is {self.steady_mm:.4g}; give a length along the seam, or 0")
+
+
+@settings_in(ToolTrajectoryOptions, 2)
+def tool_trajectory(
+    positions_mm: ArrayLike, normals: ArrayLike, options: ToolTrajectoryOptions | None = None
+) -> Trajectory:
+    """Tool frames at way points, in working order: z into the work, x along the seam.
+
+    z is opposite to the normal, x is the seam's direction freed from its part along the normal, y completes the right
+    hand: between way points the frame turns only as the seam and the surface turn.
+
+    Args:
+        positions_mm: way points (N, 3).
+        normals: outward surface normals (N, 3), in the same frame.
+        options: whether the seam is closed, tilt of the tool, smoothing; see ``ToolTrajectoryOptions``.
+
+    Returns:
+        ``T_base_tool`` (N, 4, 4), mm, "base" being the frame of the way points.
 
     Raises:
         InputError: shapes differ, NaN, fewer than two way points, an angle of 90 degrees or more.
         DegenerateError: two way points coincide, a normal has no length, or the seam runs along a normal.
+
+    Example:
+        >>> from grindvision import ToolTrajectoryOptions, tool_trajectory
+        >>> seam_mm = [(0, 0, 50), (10, 0, 50), (20, 0, 50)]
+        >>> tool_trajectory(seam_mm, [(0, 0, 1)] * 3).T_base_tool[0].round(6) + 0.0
+        array([[ 1.,  0.,  0.,  0.],
+               [ 0., -1.,  0.,  0.],
+               [ 0.,  0., -1., 50.],
+               [ 0.,  0.,  0.,  1.]])
+        >>> print(tool_trajectory(seam_mm, [(0, 0, 1)] * 3, ToolTrajectoryOptions(travel_angle_rad=0.2)))
+        open trajectory of 3 way points, 20.0 mm long
     """
+    options = ToolTrajectoryOptions() if options is None else options
+    closed, steady_mm = options.closed, options.steady_mm
     points = check_points(positions_mm, "way points", min_points=2)
     outward = check_points(normals, "normals", min_points=2)
     if points.shape != outward.shape:
         raise InputError(f"{len(points)} way points but {len(outward)} normals; give one normal per way point")
-    for name, angle in (("work", work_angle_rad), ("travel", travel_angle_rad)):
-        if not abs(angle) < np.pi / 2:
-            raise InputError(f"the {name} angle is {angle:.4g} rad; it must lie within 1.57 rad (90 degrees)")
-    if not 0 <= steady_mm < np.inf:
-        raise InputError(f"steady_mm is {steady_mm:.4g}; give a length along the seam, or 0")
     outward = _unit(outward, "the normal of way point {} has length zero")
     if steady_mm and len(points) > 3:
         tangents, outward = _steadied(points, outward, closed, steady_mm)
@@ -143,7 +175,7 @@ def tool_trajectory(
     frames = np.zeros((len(points), 4, 4))
     frames[:, :3, 0], frames[:, :3, 1], frames[:, :3, 2] = np.cross(y, z), y, z
     frames[:, :3, :3] = frames[:, :3, :3] @ (
-        rotation_about([1, 0, 0], work_angle_rad) @ rotation_about([0, 1, 0], travel_angle_rad)
+        rotation_about([1, 0, 0], options.work_angle_rad) @ rotation_about([0, 1, 0], options.travel_angle_rad)
     )
     frames[:, :3, 3] = points
     frames[:, 3, 3] = 1.0

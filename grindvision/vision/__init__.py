@@ -23,10 +23,17 @@ _HOMES = {
     "change.detection": ("DetectOptions", "Detection", "detect"),
     "change.change_detection": ("Difference", "find_change", "find_change_paper"),
     "seam.gfh_groove": ("GfhSettings", "find_groove_gfh"),
-    "seam.groove": ("DetectedGroove", "GrooveDetection", "find_grooves"),
+    "seam.groove": ("DetectedGroove", "FindGroovesOptions", "GrooveDetection", "find_grooves"),
+    "seam.seams": ("FindSeamsOptions", "SeamDetection", "find_seams"),
     "seam.seam_path": ("root_path", "slab_path"),
-    "seam.weld": ("Weld", "trace_weld"),
-    "depth_calibration.field_correction": ("FieldCorrection", "calibrate_field", "read_field", "write_field"),
+    "seam.weld": ("TraceWeldOptions", "Weld", "trace_weld"),
+    "depth_calibration.field_correction": (
+        "CalibrateFieldOptions",
+        "FieldCorrection",
+        "calibrate_field",
+        "read_field",
+        "write_field",
+    ),
 }
 _RENAMED = {
     "find_difference": "find_change=old_names:find_difference",

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision import arm as arms
 from grindvision import cell, geometry, paper
 from grindvision.files import write_whole
-from grindvision.vision import detect, trace_weld
+from grindvision.vision import TraceWeldOptions, detect, trace_weld
 from grindvision_book.machinery import frames
 from grindvision_book.machinery.session import COLOURS
 from grindvision_book.site.pictures import Figure
@@ -157,7 +157,7 @@ def draw_welds(plotter: pyvista.Plotter, most_points: int) -> None:
     """The four weld pieces as the camera sees them: groove found, way points with the direction of approach."""
     for number, kind in enumerate(cell.KINDS):
         scene = cell.weld_scene(kind, np.random.default_rng([SEED, number]), every=3)
-        weld = trace_weld(scene.points, waypoints=16)
+        weld = trace_weld(scene.points, TraceWeldOptions(waypoints=16))
         middle = scene.points.mean(axis=0)
         turn = np.diag([1.0, -1.0, -1.0])  # the camera looks down: x right, y up, z towards the reader
         shift = np.array([(number % 2) * 330.0, -(number // 2) * 260.0, 0.0])

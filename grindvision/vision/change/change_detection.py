@@ -21,6 +21,7 @@ from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find
 from grindvision.geometry.neighbours import nearest
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.change.visibility import in_front, surrounded
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.clustering import euclidean_clusters
@@ -39,6 +40,7 @@ MIN_FOOTPRINT = 0.4
 """A piece whose feet cover fewer cells of the good surface than this fraction of its own is a wall seen in one scan."""
 
 
+@by_content
 @dataclass(frozen=True)
 class Cluster:
     """One connected piece of difference, in the frame of the test scan.
@@ -60,6 +62,7 @@ class Cluster:
         return f"{len(self.points):,} points, {size}"
 
 
+@by_content
 @dataclass(frozen=True)
 class Difference:
     """Result of the comparison, frame of the test scan.

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, TooSmallError
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
@@ -25,6 +26,7 @@ Floats = NDArray[np.float64]
 STAGES = (*scan_registration.STAGES, "difference", "path")
 
 
+@by_content
 @dataclass(frozen=True)
 class DetectOptions:
     """Settings of ``detect``: path ``points`` per bead, ``seed`` of the random draws, the scanners' places if known."""
@@ -35,6 +37,7 @@ class DetectOptions:
     viewpoint_test_mm: ArrayLike | None = None
 
 
+@by_content
 @dataclass(frozen=True)
 class Detection:
     """Result of ``detect``; everything but ``T_sample_test`` is in the frame of the test scan.
@@ -87,10 +90,18 @@ def detect(
     options: DetectOptions | None = None,
     finished: Callable[[str], None] | None = None,
 ) -> Detection:
-    """Compare a test scan (M, 3) with the scan of a good part (N, 3), both in mm and in their own scanner frames.
+    """Compare a test scan with the scan of a good part, and put path points along what has to be ground away.
 
     The stages: voxels and surfels, normals and FPFH, first alignment (SAC-IA), verification, ICP, difference, paths.
-    ``finished`` is told the name of each stage (``STAGES``) when it is done.
+
+    Args:
+        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame.
+        test: scan of the part to be ground, points (M, 3) in mm in its own scanner's frame.
+        options: path points per bead, seed, viewpoints; see ``DetectOptions``.
+        finished: is told the name of each stage (``STAGES``) when it is done.
+
+    Returns:
+        ``T_sample_test`` (4, 4); path points and normals (K, 3) in mm in the frame of the test scan; the difference.
 
     Raises:
         InputError: NaN points, numbers that are no points, or a scan that fits as its mirror image only. UnitError: one
@@ -101,6 +112,13 @@ def detect(
     Warns:
         GrindvisionWarning: something speaks against the result (``diagnose``); a piece that is too small to be
             followed, or that branches and is not the largest.
+
+    Example:
+        >>> from grindvision import DetectOptions, SimulateOptions, detect, simulate
+        >>> scene = simulate("grinding", SimulateOptions(seed=1, every=6))
+        >>> found = detect(scene.sample.points, scene.test.points, DetectOptions(points=8))
+        >>> found.path_points.shape, bool(abs(found.T_sample_test - scene.T_sample_test).max() < 0.1)
+        ((8, 3), True)
     """
     options = DetectOptions() if options is None else options
     if options.points < 1:

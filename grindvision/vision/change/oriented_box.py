@@ -10,10 +10,12 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class OrientedBox:
     """Box with ``centre_mm`` (3,), unit ``axes`` (3, 3) as rows, longest first, and full ``size_mm`` (3,)."""
@@ -26,6 +28,7 @@ class OrientedBox:
         return "box of {:.2f} x {:.2f} x {:.2f} mm".format(*self.size_mm)
 
 
+@by_content
 @dataclass(frozen=True)
 class BoxPath:
     """Path points (n, 3) with normals (n, 3), the centroids (n, 3) they were found from, and the box."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from grindvision.errors import InputError, TooSmallError
 from grindvision.geometry.curves import Curve
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import Cluster
 
@@ -42,6 +43,7 @@ FLANK, MIN_FLANK = 0.2, 0.05
 """A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
 
 
+@by_content
 @dataclass(frozen=True)
 class BeadPath:
     """Path of one bead, frame of the test scan.

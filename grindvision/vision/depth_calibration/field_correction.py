@@ -14,7 +14,9 @@ from grindvision.files import write_whole
 from grindvision.formats.arrays import read_arrays
 from grindvision.geometry import check_points, fit_plane, vector_angle
 from grindvision.kernels import njit
+from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffness, on_axes, smooth_grid, spline_matrix
 
 Floats = NDArray[np.float64]
@@ -41,6 +43,15 @@ LARGEST_NODES = 20_000_000
 FIELD_ARRAYS = ("error_grid_mm", "low", "high", "normal")
 
 
+@dataclass(frozen=True)
+class CalibrateFieldOptions:
+    """Settings of ``calibrate_field``: ``distance_mm`` from the scanner's origin to the first plate along its normal,
+    where it is known."""
+
+    distance_mm: float | None = None
+
+
+@by_content
 @dataclass(frozen=True)
 class FieldCorrection:
     """Depth error over the measured volume, on a regular grid of the slopes x/z and y/z and of the distance.
@@ -84,6 +95,7 @@ class FieldCorrection:
         return f"field correction of {rms:.3f} mm rms from {self.low[2]:.0f} to {self.high[2]:.0f} mm"
 
 
+@by_content
 @dataclass(frozen=True)
 class _Plates:
     """Binned plates: depth errors (U, V, D) in mm, weights 0 to 1, nodes of the axes in mm at the ``middle_mm``."""
@@ -97,9 +109,10 @@ class _Plates:
     high: Floats
 
 
+@settings_in(CalibrateFieldOptions, 2, ("distance_mm",))
 @one_blas_thread()
 def calibrate_field(
-    plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None = None
+    plates: Sequence[ArrayLike], steps_mm: Sequence[float], options: CalibrateFieldOptions | None = None
 ) -> FieldCorrection:
     """Learn a scanner's depth error from scans of one flat plate that was moved along its normal by known steps.
 
@@ -115,13 +128,28 @@ def calibrate_field(
     Args:
         plates: clouds (N, 3) of the plate in the scanner frame, mm; each should fill the view.
         steps_mm: how much farther than the first each plate stands, along its normal; 0 for the first.
-        distance_mm: from the scanner's origin to the first plate along its normal, where it is known.
+        options: the distance of the first plate, where it is known.
+
+    Returns:
+        The depth error over the measured volume of the scanner's frame, mm; ``apply`` takes it off points (N, 3).
 
     Raises:
         InputError: steps that do not belong to the plates, repeat, or contradict the points; plates tilted against each
             other; a distance that contradicts the points; points behind the scanner.
         DegenerateError: too few points.
+
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import calibrate_field
+        >>> x, y = np.meshgrid(np.linspace(-90, 90, 80), np.linspace(-60, 60, 60))
+        >>> steps_mm = [0.0, 20.0, 40.0]
+        >>> bent = 2e-5 * (x**2 + y**2)  # what the scanner adds to every depth
+        >>> plates = [np.stack([x, y, 400 + step + bent], axis=-1).reshape(-1, 3) for step in steps_mm]
+        >>> field = calibrate_field(plates, steps_mm)
+        >>> bool(np.ptp(field.apply(plates[1])[:, 2]) < 0.01 < 0.2 < np.ptp(plates[1][:, 2]))
+        True
     """
+    distance_mm = None if options is None else options.distance_mm
     binned = _binned(plates, steps_mm, distance_mm)
     stiffness = fitting_stiffness(binned.error_mm, binned.weights, binned.nodes)
     field = smooth_grid(binned.error_mm, binned.weights, binned.nodes, stiffness)

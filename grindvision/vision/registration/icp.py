@@ -17,10 +17,12 @@ from grindvision.errors import DegenerateError, InputError
 from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid, fit_rigid, move_points, skew
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class FineRegistration:
     """A pose refined by ICP.

@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError
 from grindvision.geometry import fit_rigid, move_points, rigid, small_motion
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class CoarseRegistration:
     """A first pose: ``T_target_source`` (4, 4), its ``error`` (mean Huber error; of squared distances in mm^2), and the

@@ -13,6 +13,7 @@ from grindvision.errors import AmbiguousError, DegenerateError, InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
@@ -35,6 +36,7 @@ CERTAIN = 0.5
 """Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow."""
 
 
+@by_content
 @dataclass(frozen=True)
 class RegisterOptions:
     """Settings of ``register``: ``seed`` of the random draws; the scanners' places (3,) in mm, each in the frame of its
@@ -45,6 +47,7 @@ class RegisterOptions:
     viewpoint_target_mm: ArrayLike | None = None
 
 
+@by_content
 @dataclass(frozen=True)
 class Registration:
     """Result of ``register``: both scans as they were compared, the two stages of the pose, and the stages' times.

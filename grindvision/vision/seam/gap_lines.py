@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import inverse, move_points
+from grindvision.records import by_content
 from grindvision.vision.seam.height_field import HeightField, closed, rasterise, smoothed
 from grindvision.vision.seam.seam_tracing import trace_curves
 
@@ -31,6 +32,7 @@ MAX_CELLS = 20_000
 MIN_ASPECT = 8.0
 
 
+@by_content
 @dataclass(frozen=True)
 class GapLine:
     """A rough gap: ``path`` (M, 3) along its middle at the level of the surface, mm, and its rough ``width_mm``."""

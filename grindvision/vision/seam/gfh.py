@@ -18,6 +18,7 @@ from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, vector_angle
 from grindvision.geometry.hash_grid import CellGrid
 from grindvision.kernels import njit
+from grindvision.records import by_content
 from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
 
@@ -26,6 +27,7 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
+@by_content
 @dataclass(frozen=True)
 class GrooveFeatures:
     """Variation of the local and of the global angles of every point, degrees squared, and the base normal (3,)."""
@@ -48,6 +50,7 @@ class GrooveFeatures:
         return f"groove features of {len(self.local_deg2):,} points, spread median {np.median(self.spread_deg):.2f} deg"
 
 
+@by_content
 @dataclass(frozen=True)
 class AngleHistograms:
     """All local and global angles (N,) in degrees of one point's neighbours."""

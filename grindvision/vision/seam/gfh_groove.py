@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import NoGrooveError
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.seam.gfh import GrooveFeatures, groove_features, plane_normals, vote
 from grindvision.vision.seam.groove import finite_points
 from grindvision.vision.seam.mls import smooth_mls
@@ -37,6 +38,7 @@ class GfhSettings:
     cluster_mm: float = 5.0
 
 
+@by_content
 @dataclass(frozen=True)
 class GfhDetection:
     """The paper's groove: ``labels`` in the cloud's shape, and the steps there for K points.

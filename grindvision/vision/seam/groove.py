@@ -15,7 +15,9 @@ from scipy.spatial import cKDTree
 from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
+from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.seam.groove_diagnostics import LEAST_WALL_SHARE, wall_share
 from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, fit_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
@@ -36,6 +38,24 @@ MOST_LOOKED_AT = 4
 KNOWN_SHARE = 0.5
 
 
+@by_content
+@dataclass(frozen=True)
+class FindGroovesOptions:
+    """Settings of ``find_grooves``, in mm and in the cloud's frame.
+
+    ``viewpoint_mm``: the camera (3,). Left out, the origin is taken where a camera could stand there; otherwise both
+    sides of the surface are tried and the one with the larger groove counts. ``width_mm``: rough width of the grooves;
+    ``spacing_mm``: typical distance of neighbouring points; both estimated when left out. ``bevel``: whether one wall
+    may be upright, with the root below its edge.
+    """
+
+    viewpoint_mm: ArrayLike | None = None
+    width_mm: float | None = None
+    spacing_mm: float | None = None
+    bevel: bool = False
+
+
+@by_content
 @dataclass(frozen=True)
 class GrooveDetection:
     """All grooves of a cloud, largest volume first, but what may be a gap between two things last.
@@ -63,32 +83,39 @@ class GrooveDetection:
         return f"{len(self.grooves)} groove(s): " + "; ".join(str(groove) for groove in self.grooves)
 
 
+@settings_in(FindGroovesOptions, 1, ("viewpoint_mm", "width_mm", "spacing_mm", "bevel"))
 @one_blas_thread()
-def find_grooves(
-    points: ArrayLike,
-    viewpoint_mm: ArrayLike | None = None,
-    width_mm: float | None = None,
-    spacing_mm: float | None = None,
-    bevel: bool = False,
-) -> GrooveDetection:
+def find_grooves(points: ArrayLike, options: FindGroovesOptions | None = None) -> GrooveDetection:
     """Find the V-grooves of a single-view cloud.
 
     Args:
         points: (N, 3) or organised (R, C, 3), mm; rows with NaN (pixels without depth) belong to no groove.
-        viewpoint_mm: the camera (3,), in the cloud's frame. Left out, the origin is taken where a camera could stand
-            there; otherwise both sides of the surface are tried and the one with the larger groove counts.
-        width_mm: rough width of the grooves; estimated when left out.
-        spacing_mm: typical distance of neighbouring points; estimated when left out.
-        bevel: whether one wall may be upright, with the root below its edge.
+        options: viewpoint, width, spacing; see ``FindGroovesOptions``.
+
+    Returns:
+        The grooves, largest first, each with root and edges (K, 3) in mm in the frame of the points; ``labels`` and
+        ``groove_id`` in the shape of the cloud.
 
     Raises:
         InputError: wrong shape, too few points, a width that the spacing cannot resolve. UnitError: the size of the
             cloud fits no part in mm. NoGrooveError: the cloud shows no groove.
+
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import FindGroovesOptions, find_grooves
+        >>> x, y = np.meshgrid(np.arange(-60.0, 60.0), np.arange(-30.0, 30.0, 0.5))
+        >>> plate = np.stack([x, y, 400 + np.maximum(0, 6 - 1.2 * abs(y))], axis=-1).reshape(-1, 3)
+        >>> found = find_grooves(plate, FindGroovesOptions(viewpoint_mm=(0, 0, 0)))
+        >>> groove = found.grooves[0]
+        >>> bool(abs(np.median(groove.depth_mm) - 6) < 0.1), bool(abs(groove.root[:, 1]).max() < 0.1)
+        (True, True)
     """
-    view = seen_cloud(points, viewpoint_mm, spacing_mm)
-    return grooves_of(view, width_mm, bevel)
+    options = FindGroovesOptions() if options is None else options
+    view = seen_cloud(points, options.viewpoint_mm, options.spacing_mm)
+    return grooves_of(view, options.width_mm, options.bevel)
 
 
+@by_content
 @dataclass(frozen=True)
 class SeenCloud:
     """Finite points (N, 3) of a cloud, ``valid`` which rows of the flat cloud they are, its ``shape`` without the last

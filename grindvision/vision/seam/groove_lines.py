@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from grindvision.geometry import inverse, move_points, rotate_vectors, vector_angle
 from grindvision.parallel import parallel_map
+from grindvision.records import by_content
 from grindvision.vision.seam.groove_profile import (
     BEND,
     DEPTH,
@@ -44,6 +45,7 @@ RING_TURN_RAD = np.radians(50)
 SHARP = 0.004
 
 
+@by_content
 @dataclass(frozen=True)
 class DetectedGroove:
     """One groove: its points and its lines along the seam, in the cloud's frame, mm.

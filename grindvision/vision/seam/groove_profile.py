@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from grindvision.kernels import njit
 from grindvision.parallel import parallel_map
+from grindvision.records import by_content
 from grindvision.vision.seam.profile_fit import fit_stations
 from grindvision.vision.seam.seam_curve import Strip
 
@@ -23,6 +24,7 @@ Floats = NDArray[np.float64]
 LEVEL, TILT, BEND, DEPTH, LEFT, ROOT, RIGHT = range(7)
 
 
+@by_content
 @dataclass(frozen=True)
 class Sections:
     """Mean profiles at S stations: ``across``, ``up`` and ``weight`` (S, M) of M bins across the seam."""
@@ -42,6 +44,7 @@ class Corners:
     floor_mm: float = 0.0
 
 
+@by_content
 @dataclass(frozen=True)
 class ProfileFit:
     """``parameters`` (S, 7): level, tilt, bend, depth, and u of left edge, root and right edge, mm.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -16,6 +17,7 @@ Integers = NDArray[np.int64]
 LEAST_POINTS_PER_CELL = 5
 
 
+@by_content
 @dataclass(frozen=True)
 class HeightField:
     """Mean heights of a cloud's points over square cells of a plane, all in the field frame.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, gaussian_filter1d, median_filter
 from scipy.spatial import cKDTree
 
+from grindvision.records import by_content
 from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
 
@@ -63,6 +64,7 @@ class Scale:
         return 4.5 * self.cell
 
 
+@by_content
 @dataclass(frozen=True)
 class Faces:
     """Two faces at S stations: unit directions along each face away from the seam and normals, (2, S, 3) each."""
@@ -71,6 +73,7 @@ class Faces:
     normal: Floats
 
 
+@by_content
 @dataclass(frozen=True)
 class JointFit:
     """A seam between two faces, at S stations of ``curve``.
@@ -105,6 +108,7 @@ class JointFit:
         return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
+@by_content
 @dataclass(frozen=True)
 class _Sides:
     """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points."""

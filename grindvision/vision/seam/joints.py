@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from grindvision.records import by_content
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BUTT, LAP
 
@@ -25,6 +26,7 @@ class Interruption:
         return f"{self.start_mm:.0f} to {self.end_mm:.0f} mm"
 
 
+@by_content
 @dataclass(frozen=True)
 class Seam:
     """A weld seam at S stations, in the cloud's frame, mm.

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@by_content
 @dataclass(frozen=True)
 class SeamCurve:
     """Stations (S, 3) in mm, ``step_mm`` apart, with unit vectors along, across (to the left) and up (S, 3) each."""
@@ -36,6 +38,7 @@ class SeamCurve:
         return f"curve of {len(self)} stations, {self.length_mm:.1f} mm long"
 
 
+@by_content
 @dataclass(frozen=True)
 class Strip:
     """Points near a curve: ``index`` (K,) into the cloud and, mm, their ``along``, ``across`` and ``up`` (K,)."""

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points
+from grindvision.records import by_content
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joints import Seam
 
@@ -20,6 +21,7 @@ COST_CHANGE, MOST_STEPS = 1e-4, 1000
 FIRST_STEP, SHORTENING = 0.01, 0.8
 
 
+@by_content
 @dataclass(frozen=True)
 class SeamPath:
     """Way points (W, 3) in mm in the order of the seam, with unit outward normals (W, 3); ``closed`` for a ring."""

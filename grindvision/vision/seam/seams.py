@@ -16,6 +16,8 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import NoGrooveError
 from grindvision.geometry import inverse, rotate_vectors
+from grindvision.loose_settings import settings_in
+from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS, find_gaps
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
 from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES, LEAST_WALL_SHARE, wall_share
@@ -55,6 +57,22 @@ KNOWN_SHARE = 0.5
 CORNER_RATHER = 0.5
 
 
+@by_content
+@dataclass(frozen=True)
+class FindSeamsOptions:
+    """Settings of ``find_seams``, in mm and in the cloud's frame.
+
+    ``viewpoint_mm``: the camera (3,). Left out, the origin is taken where a camera could stand there, otherwise the
+    side that looks up. ``joint``: a kind of ``joint_names.KINDS`` or a family of ``joint_names.FAMILIES``; others are
+    then left out. ``width_mm``: rough width of grooves; estimated when left out.
+    """
+
+    viewpoint_mm: ArrayLike | None = None
+    joint: str = "any"
+    width_mm: float | None = None
+
+
+@by_content
 @dataclass(frozen=True)
 class SeamDetection:
     """All seams of a cloud of the surest class that it shows, the most certain first.
@@ -81,25 +99,24 @@ class SeamDetection:
         return f"{len(self.seams)} seam(s): " + "; ".join(str(seam) for seam in self.seams)
 
 
-def find_seams(
-    points: ArrayLike,
-    viewpoint_mm: ArrayLike | None = None,
-    joint: str = "any",
-    width_mm: float | None = None,
-) -> SeamDetection:
+@settings_in(FindSeamsOptions, 1, ("viewpoint_mm", "joint", "width_mm"))
+def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> SeamDetection:
     """Find the weld seams of a single-view cloud.
 
     Args:
         points: (N, 3) or organised (R, C, 3), mm; rows with NaN belong to no seam.
-        viewpoint_mm: the camera (3,), in the cloud's frame. Left out, the origin is taken where a camera could stand
-            there, otherwise the side that looks up.
-        joint: a kind of ``joint_names.KINDS`` or a family of ``joint_names.FAMILIES``; others are then left out.
-        width_mm: rough width of grooves; estimated when left out.
+        options: viewpoint, kind of joint, width; see ``FindSeamsOptions``.
+
+    Returns:
+        The seams, each with its kind and its root (K, 3) in mm in the frame of the points; ``seam_id`` and ``labels``
+        in the shape of the cloud.
 
     Raises:
         InputError: wrong shape, too few points, an unknown kind. UnitError: no part in mm is of this size.
         NoGrooveError: the cloud shows no seam, or none of the kind asked for.
     """
+    options = FindSeamsOptions() if options is None else options
+    viewpoint_mm, joint, width_mm = options.viewpoint_mm, options.joint, options.width_mm
     wanted = kinds_of(joint)
     view = seen_cloud(points, viewpoint_mm)
     cloud, valid, sides, spacing = view.points, view.valid, view.sides, view.spacing_mm

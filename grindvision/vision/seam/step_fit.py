@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from grindvision.records import by_content
 from grindvision.vision.seam.joint_fit import MIN_NOISE_MM, Scale, closed_runs, nearest_stations
 from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
@@ -30,6 +31,7 @@ MIN_PASSES, MAX_PASSES = 3, 12
 ROUNDS, TUKEY = 4, 4.0
 
 
+@by_content
 @dataclass(frozen=True)
 class EdgeFit:
     """Two surfaces beside a seam at S stations of ``curve``; its ``up`` is the lower surface's normal.
@@ -106,6 +108,7 @@ def fit_step(
     return None
 
 
+@by_content
 @dataclass(frozen=True)
 class _Edges:
     """What ``_edges`` found at S stations, in the curve's coordinates; see ``EdgeFit``."""

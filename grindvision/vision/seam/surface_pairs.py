@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
 from grindvision.kernels import njit
+from grindvision.records import by_content
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -45,6 +46,7 @@ class Around(NamedTuple):
     indices: Integers
 
 
+@by_content
 @dataclass(frozen=True)
 class SurfacePairs:
     """Places (K, 3) in mm where two surfaces meet, on the line in which their planes intersect.

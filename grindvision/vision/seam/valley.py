@@ -12,6 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from grindvision.parallel import parallel_map
+from grindvision.records import by_content
 from grindvision.vision.seam.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
 from grindvision.vision.seam.valley_parts import cleared, connected_parts, inner_radius
 
@@ -46,6 +47,7 @@ ENOUGH_VOLUME = 0.8
 _EIGHT = np.ones((3, 3), dtype=bool)
 
 
+@by_content
 @dataclass(frozen=True)
 class Valley:
     """One connected valley: its ``path`` (M, 3) along the bottom at the level of the surface around.
@@ -63,6 +65,7 @@ class Valley:
         return f"valley {self.width_mm:.1f} mm wide, {self.depth_mm:.1f} mm deep, {self.volume_mm3:.0f} mm3"
 
 
+@by_content
 @dataclass(frozen=True)
 class _Piece:
     cells: Flags
@@ -71,6 +74,7 @@ class _Piece:
     volume_mm3: float
 
 
+@by_content
 @dataclass(frozen=True)
 class _Filling:
     field: HeightField

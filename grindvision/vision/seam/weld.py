@@ -10,18 +10,46 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
 from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
 from grindvision.vision.seam.groove_diagnostics import doubts_about
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_path import SeamPath, root_path, slab_path
-from grindvision.vision.seam.seams import SeamDetection, find_seams
+from grindvision.vision.seam.seams import FindSeamsOptions, SeamDetection, find_seams
 
 Flags = NDArray[np.bool_]
 VARIANTS = ("ours", "paper")
 
 
+@by_content
+@dataclass(frozen=True)
+class TraceWeldOptions:
+    """Settings of ``trace_weld``, in mm and in the cloud's frame.
+
+    ``waypoints``: their number along each seam; of slabs in the paper's variant. ``variant``: ``ours`` or ``paper``.
+    ``viewpoint_mm``: the camera (3,), where it is not the origin. ``settings``: of the paper's variant. Of our variant
+    are ``width_mm``, the rough width of the groove, estimated when left out, and ``joint``, a kind of seam or a family
+    of kinds (see ``joint_names``).
+    """
+
+    waypoints: int = 50
+    variant: str = "ours"
+    viewpoint_mm: ArrayLike | None = None
+    settings: GfhSettings | None = None
+    width_mm: float | None = None
+    joint: str = "any"
+
+    def __post_init__(self) -> None:
+        if self.variant not in VARIANTS:
+            raise InputError(f"variant {self.variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
+        if self.waypoints < 2:
+            raise InputError(f"{self.waypoints} way points make no path; ask for at least 2")
+
+
+@by_content
 @dataclass(frozen=True)
 class Weld:
     """What was found in a cloud: ``labels`` in its shape, ``paths`` one per seam, as in ``find_seams``.
@@ -57,39 +85,38 @@ class Weld:
         return f"{what}; {self.path}{also}{left_out}{others}"
 
 
+@settings_in(TraceWeldOptions, 1, ("waypoints", "variant", "viewpoint_mm", "settings", "width_mm", "joint"))
 @one_blas_thread()
-def trace_weld(
-    points: ArrayLike,
-    waypoints: int = 50,
-    variant: str = "ours",
-    viewpoint_mm: ArrayLike | None = None,
-    settings: GfhSettings | None = None,
-    width_mm: float | None = None,
-    joint: str = "any",
-) -> Weld:
-    """Find the weld seams of a cloud (N, 3) or (R, C, 3) in mm and put way points along them.
+def trace_weld(points: ArrayLike, options: TraceWeldOptions | None = None) -> Weld:
+    """Find the weld seams of a cloud and put way points along them; what ``grindvision groove`` does.
 
     Args:
-        points: rows with NaN belong to no seam.
-        waypoints: number of way points; of slabs in the paper's variant.
-        variant: ``ours`` or ``paper``.
-        viewpoint_mm: the camera (3,), where it is not the origin.
-        settings: of the paper's variant.
-        width_mm: rough width of the groove, of our variant; estimated when left out.
-        joint: of our variant: a kind of seam or a family of kinds (see ``joint_names``).
+        points: (N, 3) or organised (R, C, 3), mm; rows with NaN belong to no seam.
+        options: way points, variant, viewpoint, kind of joint; see ``TraceWeldOptions``.
+
+    Returns:
+        A path per seam, way points (K, 3) in mm and outward unit normals (K, 3) in the frame of the points; ``labels``
+        in the shape of the cloud.
 
     Raises:
-        InputError: unknown variant, too few way points, an unusable cloud. UnitError: its size is no part's in mm.
-        NoGrooveError: there is no seam, or none of the kind.
+        InputError: an unusable cloud. UnitError: its size is no part's in mm. NoGrooveError: there is no seam, or none
+            of the kind.
 
     Warns:
         GrindvisionWarning: a groove is doubtful (partly outside the cloud, walls unseen, few points); larger hollows in
             the scene are no grooves; nothing tells from which side the scan was taken; a seam is interrupted.
+
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import TraceWeldOptions, trace_weld
+        >>> x, y = np.meshgrid(np.arange(-60.0, 60.0), np.arange(-30.0, 30.0, 0.5))
+        >>> plate = np.stack([x, y, 400 + np.maximum(0, 6 - 1.2 * abs(y))], axis=-1).reshape(-1, 3)
+        >>> weld = trace_weld(plate, TraceWeldOptions(waypoints=10, joint="groove"))
+        >>> weld.path.points.shape, weld.path.normals.shape
+        ((10, 3), (10, 3))
     """
-    if variant not in VARIANTS:
-        raise InputError(f"variant {variant!r} is unknown; choose one of {', '.join(VARIANTS)}")
-    if waypoints < 2:
-        raise InputError(f"{waypoints} way points make no path; ask for at least 2")
+    options = TraceWeldOptions() if options is None else options
+    waypoints, variant, viewpoint_mm = options.waypoints, options.variant, options.viewpoint_mm
     grooves: tuple[DetectedGroove, ...] = ()
     left_out: tuple[DetectedGroove, ...] = ()
     spacing: float | None = None
@@ -98,13 +125,13 @@ def trace_weld(
     paths: tuple[SeamPath, ...]
     begin = time.perf_counter()
     if variant == "paper":
-        detection = find_groove_gfh(points, settings, viewpoint_mm)
+        detection = find_groove_gfh(points, options.settings, viewpoint_mm)
         found = time.perf_counter()
         inside = detection.labels.ravel()[detection.finite]
         paths = (slab_path(detection.smoothed[inside], detection.normals[inside], waypoints),)
         labels = detection.labels
     else:
-        detected = find_seams(points, viewpoint_mm, joint, width_mm)
+        detected = find_seams(points, FindSeamsOptions(viewpoint_mm, options.joint, options.width_mm))
         found = time.perf_counter()
         seams, weaker, spacing = detected.seams, detected.weaker, detected.spacing_mm
         labels, grooves = detected.labels, tuple(seam.groove for seam in seams if seam.groove is not None)

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import InputError
 from grindvision.kernels import njit
 from grindvision.parallel import parallel_map
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
 
+@by_content
 @dataclass(frozen=True)
 class Keypoints:
     """Points (N, 3) in mm with unit normals (N, 3) and FPFH (N, 33), ``spacing_mm`` apart."""

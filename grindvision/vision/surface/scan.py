@@ -11,6 +11,7 @@ from grindvision.geometry import inverse, move_points
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest
 from grindvision.parallel import parallel_map
+from grindvision.records import by_content
 from grindvision.vision.surface.fpfh import compute_fpfh, mirrored_fpfh
 from grindvision.vision.surface.keypoints import Keypoints
 from grindvision.vision.surface.normals import estimate_normals, guess_viewpoint
@@ -39,6 +40,7 @@ class Resolution:
         return f"points {self.spacing_mm:.3g} mm apart, {cells}"
 
 
+@by_content
 @dataclass(frozen=True)
 class Scan:
     """A scan (N, 3) in its scanner's frame with what the stages need.

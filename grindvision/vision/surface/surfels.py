@@ -16,6 +16,7 @@ from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import CellGrid, assign_cells, bounds, cell_key, cell_origin, count_cells, find_slot
 from grindvision.kernels import njit
+from grindvision.records import by_content
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,7 @@ MIN_FLATNESS = 1e-4
 one line lie in any plane through it, and rounding would choose."""
 
 
+@by_content
 @dataclass(frozen=True)
 class Surfels:
     """Planes of a scan, one per occupied cell of ``grid``; the grid's points are the means of the cells' points.

@@ -12,11 +12,13 @@ from grindvision.errors import InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import bounds, find_slot, grown_table
 from grindvision.kernels import njit
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+@by_content
 @dataclass(frozen=True)
 class VoxelGrid:
     """Occupied voxels of a cloud, ordered by their cell: x slowest, z fastest.
