@@ -17,6 +17,7 @@ from grindvision.cell.views import view_from
 from grindvision.cell.workpieces import MARK, Workpiece, workpiece
 from grindvision.errors import InputError
 from grindvision.geometry import inverse, move_points, rotate_vectors
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +36,7 @@ LEAST_FIXED = 0.001
 """A motion is fixed when the mean square of what it moves across the surface is this share of the motion's at least."""
 
 
+@by_content
 @dataclass(frozen=True)
 class WorkpieceScene:
     """Scans of the good part, ``sample``, and of the ``test`` part, each in its own scanner frame (mm).
