@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grindvision.calibration import Measurements, ScannerOnArm, calibrate
+from grindvision.calibration import Measurements, Options, ScannerOnArm, calibrate
 from grindvision.cell import (
     CalibrationPlan,
     GrindingRobot,
@@ -262,7 +262,7 @@ def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.
         tracked_mm,
         sphere=table["sphere"].astype(str).to_numpy(),
     )
-    return calibrate(measurements, robot.nominal).cell
+    return calibrate(measurements, robot.nominal, Options(diagnose=False)).cell
 
 
 @cache

@@ -26,7 +26,9 @@ POWERS = tuple((a, b) for a in range(4) for b in range(4) if 2 <= a + b <= 3)
 
 TUKEY = 4.685
 BLOCKS_ACROSS = 12
-AT_REST = 1e-5
+AT_REST = 1e-3
+"""A step that moves the points by a smaller part of the residuals' spread is the last: the next one would move them by
+a thirtieth of it, less than where single points come and go beside the target's edge."""
 
 
 def refine_bent(
