@@ -8,21 +8,27 @@ centroid, and which fits round, bell-shaped and lopsided beads as well as a para
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import InputError, TooSmallError
 from grindvision.geometry.curves import Curve
+from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import Cluster
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 REACH_WIDTHS = 1.2
 """A station's cross-section is fitted to what lies within so many widths of it along the bead."""
+
+MIN_SECTION = 12
+"""A station with fewer points has no cross-section."""
 
 SHAPE_WIDTHS = 5.0
 """Over so many widths to either side a bead keeps the shape of its cross-section well enough for it to be averaged."""
@@ -116,56 +122,110 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
     count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
     arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
-    windows = [(arc, used) for arc in arcs if (used := _window(s_all, b_all, arc, stations, width)).sum() >= 12]
-    if len(windows) < 2:
+    around_mm = stations.length_mm if stations.closed else np.inf
+    sections = _sections(s_all, b_all, cluster.signed_mm, cluster.normals, offsets, arcs, width, around_mm)
+    enough = sections.counts >= MIN_SECTION
+    if enough.sum() < 2:
         raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
-    arcs = np.array([arc for arc, _ in windows])
-    sections = [
-        _Section(_along(s_all[used], arc, stations), b_all[used], cluster.signed_mm[used], width)
-        for arc, used in windows
-    ]
+    arcs, sections = arcs[enough], sections.at(enough)
     laterals, heights = _ridges(sections, _pooled_shapes(sections, arcs, stations, SHAPE_WIDTHS * width), width)
     tangents, places = stations.tangents(arcs), stations.at(arcs)
-    normals = np.array([one.weights @ cluster.normals[used] for one, (_, used) in zip(sections, windows, strict=True)])
-    normals -= (normals * tangents).sum(axis=1, keepdims=True) * tangents
+    normals = sections.up - (sections.up * tangents).sum(axis=1, keepdims=True) * tangents
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    depths = [
-        np.average(offsets[used] @ up, weights=one.weights)
-        for one, up, (_, used) in zip(sections, normals, windows, strict=True)
-    ]
-    places = places + np.array(depths)[:, None] * normals + laterals[:, None] * np.cross(normals, tangents)
+    depths = (sections.offset * normals).sum(axis=1, keepdims=True)
+    places = places + depths * normals + laterals[:, None] * np.cross(normals, tangents)
     return places, normals, heights
 
 
-def _along(s: Floats, arc: float, stations: Curve) -> Floats:
-    """Arc lengths from a station, the shorter way round where the curve is closed."""
-    away = s - arc
-    return away - stations.length_mm * np.round(away / stations.length_mm) if stations.closed else away
+class _Sections(NamedTuple):
+    """Sums over the points around each of M stations, weighted by their nearness along the bead (see ``_ridge``).
+
+    ``counts`` (M,) of points; ``normal`` (M, 8, 8) and ``right`` (M, 8): equations of the section's terms 1, s, s^2,
+    s b, b, b^2, b^3, b^4, in widths; ``flanks`` (M, 2): shares of the weight that lie to either side of the ridge;
+    ``up`` and ``offset`` (M, 3): means of the surface's normals and of the feet's offsets from the station's curve.
+    """
+
+    counts: Integers
+    normal: Floats
+    right: Floats
+    flanks: Floats
+    up: Floats
+    offset: Floats
+
+    def at(self, stations: NDArray[np.bool_]) -> _Sections:
+        """The sums of those stations (M,) that are marked."""
+        return _Sections(
+            self.counts[stations],
+            self.normal[stations],
+            self.right[stations],
+            self.flanks[stations],
+            self.up[stations],
+            self.offset[stations],
+        )
 
 
-def _window(s: Floats, b: Floats, arc: float, stations: Curve, width: float) -> NDArray[np.bool_]:
-    """The points (N,) that a station's cross-section is fitted to."""
-    return (np.abs(_along(s, arc, stations)) < REACH_WIDTHS * width) & (np.abs(b) < 0.5 * width)
+@njit(cache=True, nogil=True)
+def _sections(
+    s: Floats, b: Floats, h: Floats, up: Floats, offsets: Floats, arcs: Floats, width: float, around_mm: float
+) -> _Sections:
+    """``_Sections`` at stations with arc lengths ``arcs`` (M,), of points with s, b, h (N,), normals and offsets
+    (N, 3).
+
+    ``around_mm`` is the length of a closed curve, infinite for an open one.
+    """
+    stations = len(arcs)
+    found = _Sections(
+        np.zeros(stations, dtype=np.int64),
+        np.zeros((stations, 8, 8)),
+        np.zeros((stations, 8)),
+        np.zeros((stations, 2)),
+        np.zeros((stations, 3)),
+        np.zeros((stations, 3)),
+    )
+    term = np.empty(8)
+    for m in range(stations):
+        normal, right = found.normal[m], found.right[m]
+        total = 0.0
+        for p in range(len(s)):
+            along, across = s[p] - arcs[m], b[p] / width
+            if along > around_mm / 2:
+                along -= around_mm
+            elif along < -around_mm / 2:
+                along += around_mm
+            near = abs(along) / (REACH_WIDTHS * width)
+            if near >= 1 or abs(across) >= 0.5:
+                continue
+            weight = (1 - near**3) ** 3
+            along /= width
+            term[0], term[1], term[2], term[3] = 1.0, along, along * along, along * across
+            term[4] = across
+            for k in range(5, 8):
+                term[k] = term[k - 1] * across
+            for i in range(8):
+                for j in range(i, 8):
+                    normal[i, j] += weight * term[i] * term[j]
+                right[i] += weight * term[i] * h[p]
+            for k in range(3):
+                found.up[m, k] += weight * up[p, k]
+                found.offset[m, k] += weight * offsets[p, k]
+            found.flanks[m, 0] += weight * (-across > FLANK)
+            found.flanks[m, 1] += weight * (across > FLANK)
+            found.counts[m] += 1
+            total += weight
+        for i in range(8):
+            for j in range(i):
+                normal[i, j] = normal[j, i]
+        if total > 0:
+            found.flanks[m] /= total
+            found.up[m] /= total
+            found.offset[m] /= total
+    return found
 
 
-class _Section:
-    """The bead's cross-section at one station, fitted to points by their s, b and h (see ``_ridge``)."""
-
-    def __init__(self, s: Floats, b: Floats, h: Floats, width: float) -> None:
-        self.weights = (1 - (np.abs(s) / (REACH_WIDTHS * width)) ** 3) ** 3
-        self.width = width
-        s, b = s / width, b / width
-        squared = b * b
-        terms = np.column_stack([np.ones_like(s), s, s * s, s * b, b, squared, squared * b, squared * squared])
-        weighted = terms * self.weights[:, None]
-        self.normal, self.right = terms.T @ weighted, weighted.T @ h
-        self.flanks = np.array([self.weights @ (side * b > FLANK) for side in (-1, 1)]) / self.weights.sum()
-
-
-def _ridges(sections: list[_Section], shapes: Floats, width: float) -> tuple[Floats, Floats]:
+def _ridges(sections: _Sections, shapes: Floats, width: float) -> tuple[Floats, Floats]:
     """Where across the ridges lie (M,), and their heights (M,), given the sections' shapes (M, 4)."""
-    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
-    free = np.tile(np.eye(8)[:, :5], (len(sections), 1, 1))
+    normal, right = sections.normal, sections.right
+    free = np.tile(np.eye(8)[:, :5], (len(normal), 1, 1))
     free[:, [0, 4, 5, 6], 4] = -POWERS * shapes  # a shift adds -g'(b)
     left = right - (normal[:, :, 4:] @ shapes[:, :, None])[:, :, 0]
     free_rows = free.transpose(0, 2, 1)
@@ -192,15 +252,16 @@ def _middles_of_tops(across: Floats, heights: Floats) -> Floats:
     return (ends[0] + ends[1]) / 2
 
 
-def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reach: float) -> Floats:
+def _pooled_shapes(sections: _Sections, arcs: Floats, stations: Curve, reach: float) -> Floats:
     """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
     equations, rights = _shape_equations(sections)
-    flanks = np.array([section.flanks for section in sections])
-    away = np.abs(np.array([_along(arcs, arc, stations) for arc in arcs]))
+    away = np.abs(arcs - arcs[:, None])
+    if stations.closed:
+        away = np.minimum(away, stations.length_mm - away)
     weights = np.clip(1 - (away / reach) ** 3, 0, None) ** 3
     weights /= weights.sum(axis=1, keepdims=True)
     equations, rights = np.tensordot(weights, equations, 1), weights @ rights
-    shapes, shown = np.zeros(rights.shape), (weights @ flanks > MIN_FLANK).all(axis=1)
+    shapes, shown = np.zeros(rights.shape), (weights @ sections.flanks > MIN_FLANK).all(axis=1)
     for some, terms in ((shown, len(POWERS)), (~shown, 2)):
         inverses = np.linalg.pinv(equations[some, :terms, :terms], rcond=1e-9)
         shapes[some, :terms] = (inverses @ rights[some, :terms, None])[:, :, 0]
@@ -208,9 +269,9 @@ def _pooled_shapes(sections: list[_Section], arcs: Floats, stations: Curve, reac
     return shapes
 
 
-def _shape_equations(sections: list[_Section]) -> tuple[Floats, Floats]:
+def _shape_equations(sections: _Sections) -> tuple[Floats, Floats]:
     """Normal equations (M, 4, 4) and (M, 4) of the sections' shapes, whatever the other terms are."""
-    normal, right = np.array([one.normal for one in sections]), np.array([one.right for one in sections])
+    normal, right = sections.normal, sections.right
     others = np.linalg.pinv(normal[:, :4, :4], rcond=1e-12) @ normal[:, :4, 4:]
     rights = right[:, 4:] - (others.transpose(0, 2, 1) @ right[:, :4, None])[:, :, 0]
     return normal[:, 4:, 4:] - normal[:, 4:, :4] @ others, rights
