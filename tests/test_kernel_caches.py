@@ -121,3 +121,17 @@ def test_folders_of_others_among_temporary_files_are_not_trusted(tmp_path, monke
     assert caches.made(folder) and caches.is_ours(folder)
     (tmp_path / "shared").chmod(0o777)
     assert not caches.made(folder) and not caches.is_ours(folder)
+
+
+def test_a_section_is_the_same_compiled_and_from_the_cache(tmp_path):
+    code = (
+        "import numpy as np; from grindvision.vision.seam.profile_fit import fit_stations;"
+        "rng = np.random.default_rng(1); across = np.sort(rng.uniform(-9, 9, (20, 61)), axis=1);"
+        "up = rng.normal(0, 0.1, across.shape) - np.maximum(5 - np.abs(across), 0);"
+        "start = np.tile([0, 0, 0, 4.0, -6, 0.5, 6], (20, 1));"
+        "args = np.ones_like(up) * 50, start, np.ones_like(start), np.array([0.04, 0.04, 0.0]), 0.1, 0.5;"
+        "print([part.tobytes().hex() for part in fit_stations(across, up, *args)])"
+    )
+    env = dict(os.environ, NUMBA_CACHE_DIR=str(tmp_path))
+    runs = [subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=True) for _ in range(2)]
+    assert runs[0].stdout == runs[1].stdout != b""

@@ -2,6 +2,9 @@
 
 Parameters (7,) are level, tilt, bend, depth, and u of left edge, root and right edge; ``shape`` (3,) is the rounding of
 the edges, the rounding of the root and half the width of a flat root, mm.
+
+The two kernels that sum in any order are inlined by force: else a process that compiles them and one that finds them in
+the cache may run two differently vectorised copies, whose sums differ in the last digits.
 """
 
 from __future__ import annotations
@@ -87,7 +90,7 @@ def fit_stations(
     return fitted, deviation, spread
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@njit(cache=True, nogil=True, forceinline=True, fastmath={"reassoc", "contract", "nsz"})
 def _compare(
     profile: Profile, theta: Floats, shape: Floats, noise: float, slopes: Floats, off: Floats, share: Floats
 ) -> float:
@@ -121,7 +124,7 @@ def _compare(
     return cost
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@njit(cache=True, nogil=True, forceinline=True, fastmath={"reassoc", "contract", "nsz"})
 def _equations(
     slopes: Floats,
     off: Floats,
