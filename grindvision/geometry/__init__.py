@@ -24,6 +24,7 @@ from grindvision.geometry.transforms import (
     rotation_axis,
     skew,
     small_motion,
+    unit_vectors,
     vector_angle,
 )
 from grindvision.lazy import lazy_names
@@ -52,5 +53,6 @@ __all__ = [
     "rotation_axis",
     "skew",
     "small_motion",
+    "unit_vectors",
     "vector_angle",
 ]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
+from grindvision.geometry.bounds import bounds
 from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
@@ -85,18 +86,6 @@ def cell_origin(points: Floats, size_mm: float) -> Floats:
             " outliers or take larger cells"
         )
     return low - 1.5 * size_mm
-
-
-@njit(cache=True, nogil=True)
-def bounds(points: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest coordinates (3,), (3,) of points (N, 3)."""
-    x = x_low = points[0, 0]
-    y = y_low = points[0, 1]
-    z = z_low = points[0, 2]
-    for p in range(len(points)):
-        x_low, y_low, z_low = min(x_low, points[p, 0]), min(y_low, points[p, 1]), min(z_low, points[p, 2])
-        x, y, z = max(x, points[p, 0]), max(y, points[p, 1]), max(z, points[p, 2])
-    return np.array([x_low, y_low, z_low]), np.array([x, y, z])
 
 
 @njit(cache=True, nogil=True, inline="always")

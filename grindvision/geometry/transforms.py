@@ -64,6 +64,12 @@ def vector_angle(a: ArrayLike, b: ArrayLike) -> Floats:
     return 2 * np.arctan2(np.linalg.norm(unit_a - unit_b, axis=-1), np.linalg.norm(unit_a + unit_b, axis=-1))
 
 
+def unit_vectors(vectors: ArrayLike) -> Floats:
+    """Vectors (..., 3) at length one; one of no length stays near zero."""
+    vectors = np.asarray(vectors, dtype=float)
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+
+
 def nearest_rotation(matrix: ArrayLike) -> Floats:
     """Return the rotation matrix (3, 3) nearest to ``matrix`` in the Frobenius norm (SVD, reflection guarded)."""
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))

@@ -5,15 +5,14 @@ The bands tell an open bead from a closed one and from one that branches.
 
 from __future__ import annotations
 
-from heapq import heappop, heappush
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from grindvision.errors import DegenerateError, TooSmallError
+from grindvision.geometry.graphs import walking_distances
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import Neighbourhoods, within_radius
-from grindvision.kernels import njit
 from grindvision.vision.change.change_detection import Cluster
 from grindvision.vision.surface.clustering import euclidean_clusters
 
@@ -41,8 +40,9 @@ def bead_centreline(cluster: Cluster) -> tuple[Floats, bool, float]:
     main = euclidean_clusters(nodes, step) == 0
     nodes, total = nodes[main], total[main]
     around = within_radius(build_cells(nodes, step), nodes, step)
-    end = int(np.argmax(walking_distances(around, 0)))
-    walked = walking_distances(around, end)
+    graph = csr_matrix((np.sqrt(around.squared_mm2), around.indices, around.starts), shape=(len(nodes),) * 2)
+    end = int(np.argmax(walking_distances(graph, 0)))
+    walked = walking_distances(graph, end)
     area = len(nodes) * size**2 / 1.5
     reach = float(walked.max())
     width = max(area / max(reach, size), 1.5 * size)
@@ -54,29 +54,6 @@ def bead_centreline(cluster: Cluster) -> tuple[Floats, bool, float]:
     if closed:
         return _counterclockwise(curve, cluster.normals.mean(axis=0)), True, max(width / 2, 1.5 * size)
     return curve, False, width
-
-
-def walking_distances(around: Neighbourhoods, start: int) -> Floats:
-    """Length (N,) of the shortest way from point ``start`` to each point, from neighbour to neighbour (Dijkstra)."""
-    return _walked(around.starts, around.indices, np.sqrt(around.squared_mm2), start)
-
-
-@njit(cache=True, nogil=True)
-def _walked(starts: Integers, indices: Integers, lengths: Floats, start: int) -> Floats:
-    """Dijkstra's algorithm over the neighbour lists, with a heap: length (N,) of the shortest way to each point."""
-    walked = np.full(len(starts) - 1, np.inf)
-    walked[start] = 0.0
-    ahead = [(0.0, start)]
-    while len(ahead) > 0:
-        way, p = heappop(ahead)
-        if way > walked[p]:
-            continue
-        for at in range(starts[p], starts[p + 1]):
-            q = indices[at]
-            if way + lengths[at] < walked[q]:
-                walked[q] = way + lengths[at]
-                heappush(ahead, (walked[q], q))
-    return walked
 
 
 def _axis(nodes: Floats, weights: Floats) -> Floats:

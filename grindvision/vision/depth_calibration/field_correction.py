@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 from grindvision.formats.arrays import read_arrays
 from grindvision.geometry import check_points, fit_plane, vector_angle
-from grindvision.kernels import njit
 from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -88,7 +88,8 @@ class FieldCorrection:
     def _interpolated(self, place: Floats) -> Floats:
         intervals = np.subtract(self.error_grid_mm.shape, 1)
         per_unit = intervals / np.where(intervals > 0, self.high - self.low, 1.0)
-        return _trilinear(place, self.error_grid_mm, self.low, per_unit)
+        nodes = np.clip((place - self.low[:, None]) * per_unit[:, None], 0.0, intervals[:, None])
+        return np.asarray(map_coordinates(self.error_grid_mm, nodes, order=1))
 
     def __str__(self) -> str:
         rms = np.sqrt(np.mean(self.error_grid_mm**2))
@@ -302,30 +303,6 @@ def _parallel_planes(
         if tilt > DOUBT_TILT_DEG:
             raise InputError(f"plate {k + 1} is tilted by {tilt:.1f} deg against the others; only shift it")
     return normal, offset
-
-
-@njit(cache=True, nogil=True)
-def _trilinear(place: Floats, grid: Floats, low: Floats, per_unit: Floats) -> Floats:
-    """Values (N,) of a regular grid at places (3, N), those beyond its rim taken to the rim."""
-    values = np.empty(place.shape[1])
-    cell = np.empty(3, np.int64)
-    share = np.empty(3)
-    for n in range(place.shape[1]):
-        for axis in range(3):
-            last = grid.shape[axis] - 1
-            at = (place[axis, n] - low[axis]) * per_unit[axis]
-            at = min(at, float(last)) if at > 0.0 else 0.0
-            cell[axis] = min(int(at), max(last - 1, 0))
-            share[axis] = at - cell[axis]
-        i, j, k = cell
-        a, b, c = min(i + 1, grid.shape[0] - 1), min(j + 1, grid.shape[1] - 1), min(k + 1, grid.shape[2] - 1)
-        u, v, w = share
-        values[n] = (1 - u) * (
-            (1 - v) * ((1 - w) * grid[i, j, k] + w * grid[i, j, c]) + v * ((1 - w) * grid[i, b, k] + w * grid[i, b, c])
-        ) + u * (
-            (1 - v) * ((1 - w) * grid[a, j, k] + w * grid[a, j, c]) + v * ((1 - w) * grid[a, b, k] + w * grid[a, b, c])
-        )
-    return values
 
 
 def _at_measured(true: FieldCorrection, fine: Sequence[Floats]) -> FieldCorrection:

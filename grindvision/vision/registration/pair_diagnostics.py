@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import UnitError
-from grindvision.geometry.hash_grid import bounds
+from grindvision.geometry.bounds import bounds
 from grindvision.vision.surface.dominant_plane import plane_fraction
 from grindvision.vision.surface.surfels import Surfels
 

@@ -15,13 +15,14 @@ from scipy.spatial import cKDTree
 from grindvision.clouds import LARGEST_MM, SMALLEST_MM
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
+from grindvision.geometry.bounds import diagonal_mm
 from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.seam.groove_diagnostics import LEAST_WALL_SHARE, wall_share
 from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, fit_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.height_field import field_bounds, spacing_of
+from grindvision.vision.seam.height_field import spacing_of
 from grindvision.vision.seam.valley import find_valleys
 from grindvision.vision.seam.viewing_frames import field_frames
 
@@ -188,8 +189,7 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
     kept = cloud if valid.all() else cloud[valid]
     if len(kept) < 100:
         raise InputError(f"{len(kept)} of {len(cloud)} points are finite; a groove needs at least 100")
-    low, high = field_bounds(kept, np.eye(4))
-    diagonal = float(np.linalg.norm(high - low))
+    diagonal = diagonal_mm(kept)
     if not SMALLEST_MM <= diagonal <= LARGEST_MM:
         guess = "; if its numbers are metres, read it with unit m" if diagonal < SMALLEST_MM else ""
         raise UnitError(f"the cloud spans {diagonal:.3g} mm, which is no weld part in mm{guess}")

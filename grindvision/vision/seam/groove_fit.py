@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, label
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import inverse, move_points
@@ -26,7 +26,7 @@ from grindvision.vision.seam.groove_profile import (
     gather_sections,
     profile_height,
 )
-from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended, lay_straight
+from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, closed_runs, extended, lay_straight
 from grindvision.vision.seam.seam_smoothing import smooth_along
 from grindvision.vision.seam.valley import Valley
 
@@ -207,7 +207,7 @@ def _stations_inside(
     shown = edged & deep & fitting
     if not shown.any():
         return None
-    bridged = binary_closing(np.pad(shown, 9), np.ones(9))[9:-9] & free
+    bridged = closed_runs(shown, 9) & free
     tacked &= edged
     names, _ = label(bridged | tacked)
     run = np.flatnonzero((names == np.argmax(np.bincount(names[bridged]))) & bridged)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grindvision.geometry.bounds import bounds_in_frame
 from grindvision.kernels import njit
 from grindvision.records import by_content
 
@@ -51,11 +52,11 @@ def rasterise(
 ) -> HeightField:
     """Mean height of the points (N, 3) over every cell; the frame is shifted so that all cells count from zero.
 
-    ``bounds`` are the points' ``field_bounds`` for callers who know them.
+    ``bounds`` are the points' ``bounds_in_frame`` for callers who know them.
     """
     points = np.ascontiguousarray(points, dtype=float)
     frame = np.asarray(T_field_cloud, dtype=float)
-    low, high = bounds or field_bounds(points, frame)
+    low, high = bounds or bounds_in_frame(points, frame)
     shifted = frame.copy()
     shifted[:2, 3] -= low[:2] - cell_mm / 2
     shape = np.floor((high[:2] - low[:2]) / cell_mm + 0.5).astype(int) + 1
@@ -73,7 +74,7 @@ def coarser(field: HeightField, factor: int) -> HeightField:
 def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
     """Typical distance in mm of neighbouring points over the field's plane: root of covered area per point."""
     points = np.ascontiguousarray(points, dtype=float)
-    low, high = field_bounds(points, np.asarray(T_field_cloud, dtype=float))
+    low, high = bounds_in_frame(points, np.asarray(T_field_cloud, dtype=float))
     cell = 2 * float(max(high[0] - low[0], high[1] - low[1])) / 200
     field = rasterise(points, T_field_cloud, cell, (low, high))
     cells = int(field.filled.sum())
@@ -106,21 +107,6 @@ def closed(heights_mm: Floats, radius_cells: float) -> Floats:
     lifted = _disc_maximum(low, reach)
     lowered = -_disc_maximum(-lifted, reach)
     return np.where(np.isfinite(heights_mm), np.maximum(lowered[margin:-margin, margin:-margin], heights_mm), np.nan)
-
-
-@njit(cache=True, nogil=True)
-def field_bounds(points: Floats, frame: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest coordinates (3,) of points (N, 3) in a field frame (4, 4)."""
-    x_low = y_low = z_low = np.inf
-    x_high = y_high = z_high = -np.inf
-    for p in range(len(points)):
-        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
-        x = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz + frame[0, 3]
-        y = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz + frame[1, 3]
-        z = frame[2, 0] * px + frame[2, 1] * py + frame[2, 2] * pz + frame[2, 3]
-        x_low, y_low, z_low = min(x_low, x), min(y_low, y), min(z_low, z)
-        x_high, y_high, z_high = max(x_high, x), max(y_high, y), max(z_high, z)
-    return np.array([x_low, y_low, z_low]), np.array([x_high, y_high, z_high])
 
 
 @njit(cache=True, nogil=True)

@@ -7,12 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing
+from scipy.spatial import cKDTree
 
+from grindvision.geometry import unit_vectors
 from grindvision.kernels import njit
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @by_content
@@ -30,6 +34,10 @@ class SeamCurve:
     def length_mm(self) -> float:
         """Length from the first to the last station."""
         return self.step_mm * (len(self.stations) - 1)
+
+    def part(self, here: slice) -> SeamCurve:
+        """Some of its stations, in order."""
+        return SeamCurve(self.stations[here], self.step_mm, self.along[here], self.across[here], self.up[here])
 
     def __len__(self) -> int:
         return len(self.stations)
@@ -79,9 +87,9 @@ def build_curve(path: Floats, up: Floats, step_mm: float) -> SeamCurve:
     count = max(round(lengths[-1] / step_mm), 3) + 1
     at = np.linspace(0, lengths[-1], count)
     stations = np.stack([np.interp(at, lengths, path[:, k]) for k in range(3)], axis=1)
-    along = _unit(np.gradient(stations, axis=0))
+    along = unit_vectors(np.gradient(stations, axis=0))
     rise = np.stack([np.interp(at, lengths, up[:, k]) for k in range(3)], axis=1)
-    rise = _unit(rise - along * np.einsum("ij,ij->i", rise, along)[:, None])
+    rise = unit_vectors(rise - along * np.einsum("ij,ij->i", rise, along)[:, None])
     return SeamCurve(stations, float(lengths[-1] / (count - 1)), along, np.cross(rise, along), rise)
 
 
@@ -127,8 +135,26 @@ def lay_straight(
     return Strip(index, place[:, 0], place[:, 1], place[:, 2])
 
 
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+def nearest_stations(points: Floats, curve: SeamCurve, reach_mm: float) -> tuple[Integers, Integers, Floats]:
+    """Points (K,) within ``reach_mm`` of a curve, the station of each, and its offset (K, 3) across the curve.
+
+    Points before the first or behind the last station are left out.
+    """
+    low, high = curve.stations.min(axis=0) - reach_mm, curve.stations.max(axis=0) + reach_mm
+    index = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    away, station = cKDTree(curve.stations).query(points[index], distance_upper_bound=reach_mm)
+    kept = np.isfinite(away)
+    index, station = index[kept], station[kept]
+    offset = points[index] - curve.stations[station]
+    ahead = (offset * curve.along[station]).sum(axis=1)
+    kept = np.abs(ahead) <= 0.75 * curve.step_mm
+    offset = offset - ahead[:, None] * curve.along[station]
+    return index[kept], station[kept], offset[kept]
+
+
+def closed_runs(flags: Flags, size: int) -> Flags:
+    """Flags (S,) with gaps shorter than ``size`` filled; the ends stay where they are."""
+    return np.asarray(binary_closing(np.pad(flags, size), np.ones(size))[size:-size])
 
 
 @njit(cache=True, nogil=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.geometry import vector_angle
+from grindvision.geometry import unit_vectors, vector_angle
+from grindvision.vision.seam.face_fit import Scale
 from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face_shapes, surroundings
 from grindvision.vision.seam.gap_lines import MAX_SPACINGS
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.joint_fit import JointFit, Scale
+from grindvision.vision.seam.joint_fit import JointFit
 from grindvision.vision.seam.joint_names import (
     BEVEL,
     BUTT,
@@ -156,13 +157,13 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
             f"two surfaces of one level end along parallel lines, {width:.2f} +- {fit.gap_sigma_mm:.2g} mm apart; "
             + (f"something lies below at {seen:.0%} of it" if seen > MIN_GAP_SEEN else "nothing is seen between")
         )
-        normals = _unit(fit.normals.sum(axis=0))
+        normals = unit_vectors(fit.normals.sum(axis=0))
     else:
         if step < MIN_STEP_DEVIATIONS * level or step < max(1.2 * scale.spacing, 4 * fit.noise_mm):
             return None
         kind = LAP
         evidence = f"one surface ends {step:.2f} +- {level:.2g} mm above another that is parallel to it"
-        normals = _unit(fit.normals[1] + fit.way)
+        normals = unit_vectors(fit.normals[1] + fit.way)
     return Seam(
         kind,
         evidence,
@@ -186,16 +187,16 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
 def groove_seam(groove: DetectedGroove) -> Seam:
     """A groove as a seam: its edges are the toes, its walls the faces."""
     along = np.gradient(groove.root, axis=0)
-    along = _unit(along - (along * groove.normals).sum(axis=1)[:, None] * groove.normals)
+    along = unit_vectors(along - (along * groove.normals).sum(axis=1)[:, None] * groove.normals)
     walls, halves = [], []
     for edge in (groove.left, groove.right):
         way = edge - groove.root
         way = way - (way * along).sum(axis=1)[:, None] * along
-        out = _unit(np.cross(way, along))
+        out = unit_vectors(np.cross(way, along))
         walls.append(out * np.where((out * groove.normals).sum(axis=1) < 0, -1.0, 1.0)[:, None])
         halves.append(np.degrees(vector_angle(way, groove.normals)))
     opening = halves[0] + halves[1]
-    across = _unit(np.cross(groove.normals, along))
+    across = unit_vectors(np.cross(groove.normals, along))
     span = np.abs(((groove.right - groove.left) * across).sum(axis=1))
     place = np.abs(((groove.root - groove.left) * across).sum(axis=1)) / np.maximum(span, 1e-9)
     skew = float(np.median(place))
@@ -239,7 +240,3 @@ def _interruptions(shown: Flags, step: float) -> tuple[Interruption, ...]:
         return ()
     runs = np.split(hidden, np.flatnonzero(np.diff(hidden) > 1) + 1)
     return tuple(Interruption(float(run[0] * step), float((run[-1] + 1) * step)) for run in runs if len(run) > 1)
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

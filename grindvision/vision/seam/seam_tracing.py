@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from grindvision.geometry.graphs import edge_graph, farthest, shortest_way, walking_distances
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -62,7 +63,7 @@ def _linked(places: Floats, along: Floats, size_mm: float) -> Integers:
         way = places[pairs[:, 1]] - places[pairs[:, 0]]
         aside = np.linalg.norm(way - (way * along[pairs[:, 0]]).sum(axis=1)[:, None] * along[pairs[:, 0]], axis=1)
         pairs = pairs[agree & (aside < 1.2 * size_mm)]
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(places),) * 2)
+    graph = edge_graph(pairs[:, 0], pairs[:, 1], np.ones(len(pairs)), len(places))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
@@ -71,17 +72,9 @@ def _longest_way(places: Floats, size_mm: float) -> Floats:
     pairs = cKDTree(places).query_pairs(LINK_CELLS * size_mm, output_type="ndarray")
     length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
     # Squared steps prefer many short ones: the way keeps to the middle of the places.
-    graph = coo_matrix((length**2 + 1e-9, (pairs[:, 0], pairs[:, 1])), shape=(len(places),) * 2).tocsr()
-    first = _farthest(dijkstra(graph, directed=False, indices=0))
-    away, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    way = [_farthest(away)]
-    while way[-1] != first and before[way[-1]] >= 0:
-        way.append(int(before[way[-1]]))
-    return places[way[::-1]]
-
-
-def _farthest(distances: Floats) -> int:
-    return int(np.where(np.isfinite(distances), distances, -1).argmax())
+    graph = edge_graph(pairs[:, 0], pairs[:, 1], length**2 + 1e-9, len(places))
+    first = farthest(walking_distances(graph, 0))
+    return places[shortest_way(graph, first, farthest(walking_distances(graph, first)))]
 
 
 def _joined(curves: list[Floats], join_mm: float, near_mm: float) -> list[Floats]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from grindvision.records import by_content
-from grindvision.vision.seam.joint_fit import MIN_NOISE_MM, Scale, closed_runs, nearest_stations
-from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, extended
+from grindvision.vision.seam.face_fit import MIN_NOISE_MM, Scale
+from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, closed_runs, extended, nearest_stations
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
 
 Floats = NDArray[np.float64]
@@ -245,7 +245,7 @@ def _wall(at: Integers, u: Floats, per_station: Integers, count: int, window: fl
 
 def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     curve = found.curve
-    part = SeamCurve(curve.stations[here], curve.step_mm, curve.along[here], curve.across[here], curve.up[here])
+    part = curve.part(here)
     weight = found.weight[here]
     across = smooth_to_noise(found.across[here], weight, curve.step_mm)[0]
     level = smooth_to_noise(found.level[here], weight, curve.step_mm)[0]

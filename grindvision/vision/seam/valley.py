@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.ndimage import maximum_filter
+from scipy.spatial import cKDTree
 
+from grindvision.geometry.bounds import bounds_in_frame
+from grindvision.geometry.graphs import edge_graph, farthest, shortest_way, walking_distances
 from grindvision.parallel import parallel_map
 from grindvision.records import by_content
-from grindvision.vision.seam.height_field import HeightField, closed, coarser, field_bounds, rasterise, smoothed
+from grindvision.vision.seam.height_field import HeightField, closed, coarser, rasterise, smoothed
 from grindvision.vision.seam.valley_parts import cleared, connected_parts, inner_radius
 
 Floats = NDArray[np.float64]
@@ -43,8 +44,6 @@ MOST_VALLEYS = 6
 ARM_SHARE = 0.75
 #: Share of the greatest volume at which a smaller disc is preferred to a larger one.
 ENOUGH_VOLUME = 0.8
-
-_EIGHT = np.ones((3, 3), dtype=bool)
 
 
 @by_content
@@ -103,7 +102,7 @@ def find_valleys(
         radius_mm: radius of the closing's disc, more than half the groove's width; by default it doubles from eight
             spacings on.
     """
-    low, high = field_bounds(points, T_field_cloud)
+    low, high = bounds_in_frame(points, T_field_cloud)
     radii = [radius_mm] if radius_mm else _radii(float((high - low)[:2].min()), spacing_mm)
     finest = rasterise(points, T_field_cloud, max(1.2 * spacing_mm, radii[0] / CELLS_PER_RADIUS), (low, high))
     filled = parallel_map(lambda radius: _fill(finest, radius), radii)
@@ -183,15 +182,15 @@ def _piece(inside: Flags, box: tuple[slice, slice], depth: Floats, field: Height
 def _arms(piece: _Piece, path: Floats, filling: _Filling) -> list[_Piece]:
     """What a path (M, 3) through a piece leaves aside: the arms of crossing and branching grooves."""
     depth, field = filling.depth, filling.field
-    off_path = np.ones(piece.cells.shape, dtype=bool)
-    off_path[tuple((path[:, :2] / field.cell_mm).astype(int).T)] = False
-    box = ndimage.find_objects(piece.cells.astype(np.int8))[0]
-    away = ndimage.distance_transform_edt(off_path[box]) * field.cell_mm
-    names, _ = ndimage.label(piece.cells[box] & (away > ARM_SHARE * piece.width_mm), _EIGHT)
+    cells = np.argwhere(piece.cells)
+    away = cKDTree((path[:, :2] / field.cell_mm).astype(int)).query(cells)[0] * field.cell_mm
+    aside = np.zeros(piece.cells.shape)
+    aside[tuple(cells[away > ARM_SHARE * piece.width_mm].T)] = 1.0
+    names, areas, boxes = connected_parts(aside, 0.0)
     arms = []
-    for name in np.flatnonzero(np.bincount(names.ravel()) >= LEAST_ASPECT * (2 * LEAST_INNER_CELLS) ** 2):
-        if name > 0:
-            arms.append(_piece(names == name, box, depth, field))
+    for at in np.flatnonzero(areas >= LEAST_ASPECT * (2 * LEAST_INNER_CELLS) ** 2):
+        box = slice(boxes[at, 0], boxes[at, 1]), slice(boxes[at, 2], boxes[at, 3])
+        arms.append(_piece(names[box] == at + 1, box, depth, field))
     return [arm for arm in arms if arm is not None]
 
 
@@ -203,7 +202,7 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
     index = np.full((height, width), -1)
     index[rows, columns] = np.arange(len(rows))
     nodes = np.column_stack([field.positions(rows, columns), filling.surface[rows, columns]])
-    local = ndimage.maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
+    local = maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
     share = (depth / np.maximum(local, 1e-9))[rows, columns]
     starts, ends = [], []
     for step_row, step_column in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -217,18 +216,8 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
     length = np.linalg.norm(nodes[start] - nodes[end], axis=1)
     cost = length / (0.02 + ((share[start] + share[end]) / 2) ** 2)
 
-    def graph(weights: Floats) -> coo_matrix:
-        return coo_matrix((weights, (start, end)), shape=(len(nodes), len(nodes))).tocsr()
-
-    lengths = graph(length)
-    first = _farthest(dijkstra(lengths, directed=False, indices=0))
-    last = _farthest(dijkstra(lengths, directed=False, indices=first))
-    _, before = dijkstra(graph(cost), directed=False, indices=first, return_predecessors=True)
-    way = [last]
-    while way[-1] != first:
-        way.append(int(before[way[-1]]))
-    return Valley(nodes[way[::-1]], piece.depth_mm, piece.width_mm, piece.volume_mm3)
-
-
-def _farthest(distances: Floats) -> int:
-    return int(np.where(np.isfinite(distances), distances, -1).argmax())
+    lengths = edge_graph(start, end, length, len(nodes))
+    first = farthest(walking_distances(lengths, 0))
+    last = farthest(walking_distances(lengths, first))
+    way = shortest_way(edge_graph(start, end, cost, len(nodes)), first, last)
+    return Valley(nodes[way], piece.depth_mm, piece.width_mm, piece.volume_mm3)

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points, inverse, move_points, rigid, vector_angle
+from grindvision.geometry.bounds import diagonal_mm
 from grindvision.kernels import njit
-from grindvision.vision.seam.height_field import field_bounds
 from grindvision.vision.surface.surfels import build_surfels
 
 Floats = NDArray[np.float64]
@@ -41,8 +41,7 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
         DegenerateError: the points span no surface.
     """
     points = check_points(points, "points", min_points=10)
-    low, high = field_bounds(points, np.eye(4))
-    diagonal = float(np.linalg.norm(high - low))
+    diagonal = diagonal_mm(points)
     if not diagonal > 0:
         raise DegenerateError(f"all {len(points)} points lie in one spot; they span no surface")
     T_own_cloud = _own_frame(points)

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import bounds, build_cells
+from grindvision.geometry.bounds import bounds
+from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import within_radius
 from grindvision.kernels import njit
 

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import CellGrid, assign_cells, bounds, cell_key, cell_origin, count_cells, find_slot
+from grindvision.geometry.bounds import bounds
+from grindvision.geometry.hash_grid import CellGrid, assign_cells, cell_key, cell_origin, count_cells, find_slot
 from grindvision.kernels import njit
 from grindvision.records import by_content
 from grindvision.vision.surface.normals import smallest_eigenpair

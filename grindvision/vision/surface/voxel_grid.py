@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import bounds, find_slot, grown_table
+from grindvision.geometry.bounds import bounds
+from grindvision.geometry.hash_grid import find_slot, grown_table
 from grindvision.kernels import njit
 from grindvision.records import by_content
 

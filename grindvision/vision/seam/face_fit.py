@@ -1,0 +1,204 @@
+"""The two faces beside a seam: at every station each is a parabola over the distance from the seam.
+
+Each parabola is fitted robustly to the points of a window along the seam. The faces' intersection, extrapolated from
+both sides, does not care for a bead, a tack or a blurred corner right at the seam.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from grindvision.geometry import unit_vectors
+from grindvision.records import by_content
+from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
+from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+#: Rounds of lowering the weights of points that stand out; Tukey's biweight gives up beyond so many deviations.
+ROUNDS, TUKEY = 5, 4.7
+#: Scans without noise have that of their numbers.
+MIN_NOISE_MM = 1e-4
+#: Where a face is less even than elsewhere, it may scatter so many times as much as usual.
+LOCAL = 3.0
+#: Points at first belong to a face up to this slope off it.
+MAX_SLOPE_OFF = 0.6
+#: A face bends if a parabola leaves less than this share of what a straight line leaves.
+CLEARLY_BENT = 0.9
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Lengths of a fit, mm: ``spacing`` of points, ``cell`` of the surfels, ``noise`` of the points."""
+
+    spacing: float
+    cell: float
+    noise: float
+    rounding: float = 0.0
+
+    @property
+    def near(self) -> float:
+        """Faces are fitted from here on: what is nearer may be a bead or a blurred corner."""
+        return max(1.5 * self.spacing + 2.0 * self.noise, min(self.rounding, 0.4 * self.far))
+
+    @property
+    def far(self) -> float:
+        """Faces are fitted up to here."""
+        return 4.5 * self.cell
+
+
+@by_content
+@dataclass(frozen=True)
+class Faces:
+    """Two faces at S stations: unit directions along each face away from the seam and normals, (2, S, 3) each."""
+
+    outward: Floats
+    normal: Floats
+
+    def part(self, here: slice) -> Faces:
+        """The same faces at some of the stations."""
+        return Faces(self.outward[:, here], self.normal[:, here])
+
+
+@by_content
+@dataclass(frozen=True)
+class FaceFit:
+    """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points."""
+
+    coefficients: Floats
+    covariance: Floats
+    noise: Floats
+    bent: tuple[bool, bool]
+    coverage: Floats
+    inside: tuple[Integers, Integers]
+    purity: Floats
+
+    def part(self, here: slice) -> FaceFit:
+        """The same parabolas at some of the stations."""
+        return replace(
+            self,
+            coefficients=self.coefficients[:, here],
+            covariance=self.covariance[:, here],
+            coverage=self.coverage[:, here],
+            purity=self.purity[:, here],
+        )
+
+
+def faces_beside(curve: SeamCurve, first: Floats, second: Floats, concave: bool) -> Faces:
+    """Directions of both faces in the cross-sections of a curve, from their normals (S, 3)."""
+    normals = []
+    for normal in (first, second):
+        normals.append(unit_vectors(normal - (normal * curve.along).sum(axis=1)[:, None] * curve.along))
+    outward = []
+    for mine, other in (normals, normals[::-1]):
+        way = np.cross(mine, curve.along)
+        sign = np.sign((way * other).sum(axis=1)) * (1.0 if concave else -1.0)
+        outward.append(way * np.where(sign == 0, 1.0, sign)[:, None])
+    return Faces(np.stack(outward), np.stack(normals))
+
+
+def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> FaceFit | None:
+    """Parabolas of both faces at every station, fitted over a window along the seam."""
+    index, station, offset = nearest_stations(points, curve, 1.3 * scale.far)
+    if len(index) < 20:
+        return None
+    outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
+    height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
+    nearer = outward[0] > outward[1]
+    window = max(1.2 * scale.cell, 2.0 * scale.spacing) / curve.step_mm
+    count = len(curve)
+    results, bent, inside, coverage, purity = [], [], [], [], []
+    for side in range(2):
+        mine = (nearer if side == 0 else ~nearer) & (outward[side] > scale.near) & (outward[side] < scale.far)
+        mine &= np.abs(height[side]) < MAX_SLOPE_OFF * outward[side] + 3 * scale.noise
+        if mine.sum() < 12:
+            return None
+        at, a, e = station[mine], outward[side][mine], height[side][mine]
+        flat = _parabola(at, a, e, count, window, 2)
+        round_ = _parabola(at, a, e, count, window, 3)
+        is_bent = round_[2] < CLEARLY_BENT * flat[2]
+        coefficients, covariance, noise, weights = round_ if is_bent else flat
+        results.append((coefficients, covariance, noise))
+        bent.append(bool(is_bent))
+        near = a < scale.near + 1.5 * scale.cell
+        on = weights > 0
+        good = np.bincount(at[on & near], minlength=count).astype(float)
+        every = np.bincount(at[near], minlength=count).astype(float)
+        coverage.append(good)
+        purity.append(gaussian_filter1d(good, 1.0) / np.maximum(gaussian_filter1d(every, 1.0), 1e-9))
+        inside.append(index[mine][on])
+    return FaceFit(
+        np.stack([one[0] for one in results]),
+        np.stack([one[1] for one in results]),
+        np.array([one[2] for one in results]),
+        (bent[0], bent[1]),
+        np.stack(coverage),
+        (inside[0], inside[1]),
+        np.stack(purity),
+    )
+
+
+def intersections(curve: SeamCurve, faces: Faces, sides: FaceFit) -> tuple[Floats, Floats]:
+    """Where the faces meet: shift (S, 2) across and up from every station, and the faces' slopes there (2, S)."""
+    basis = np.stack([curve.across, curve.up], axis=1)
+    outward = np.einsum("sij,ksj->ksi", basis, faces.outward)
+    normal = np.einsum("sij,ksj->ksi", basis, faces.normal)
+    shift = np.zeros((len(curve), 2))
+    for _ in range(4):
+        a = np.einsum("ksi,si->ks", outward, shift)
+        value = sides.coefficients[..., 0] + (sides.coefficients[..., 1] + sides.coefficients[..., 2] * a) * a
+        slope = sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
+        rows = normal - slope[..., None] * outward
+        right = value - slope * a
+        matrix = rows.transpose(1, 0, 2)
+        determinant = matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0]
+        safe = np.where(np.abs(determinant) < 1e-3, 1e-3, determinant)
+        shift = np.stack(
+            [
+                (right[0] * matrix[:, 1, 1] - right[1] * matrix[:, 0, 1]) / safe,
+                (right[1] * matrix[:, 0, 0] - right[0] * matrix[:, 1, 0]) / safe,
+            ],
+            axis=1,
+        )
+    a = np.einsum("ksi,si->ks", outward, shift)
+    return shift, sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
+
+
+def root_normals(faces: Faces, slopes: Floats) -> Floats:
+    """Unit normals (2, S, 3) of the faces at the root."""
+    return unit_vectors(faces.normal - slopes[..., None] * faces.outward)
+
+
+def _parabola(
+    at: Integers, a: Floats, e: Floats, count: int, window: float, terms: int
+) -> tuple[Floats, Floats, float, Floats]:
+    """Coefficients (S, 3) of e over a at every station, covariances (S, 3, 3), scatter, and the points' weights."""
+    powers = np.stack([a**k for k in range(5)])
+    weights, noise = np.ones(len(a)), 0.0
+    coefficients, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    for _ in range(ROUNDS):
+        sums = np.stack([np.bincount(at, weights * power, count) for power in powers])
+        right = np.stack([np.bincount(at, weights * e * a**k, count) for k in range(terms)])
+        sums, right = (gaussian_filter1d(one, window, axis=1, mode="constant", truncate=3.0) for one in (sums, right))
+        normal = np.stack([[sums[i + j] for j in range(terms)] for i in range(terms)]).transpose(2, 0, 1)
+        scale = np.sqrt(np.maximum(np.einsum("sii->si", normal), 1e-12))
+        normal = normal / scale[:, :, None] / scale[:, None, :] + 1e-6 * np.eye(terms)
+        inverse = np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :]
+        coefficients[:, :terms] = np.einsum("sij,js->si", inverse, right)
+        off = e - sum(coefficients[at, k] * powers[k] for k in range(terms))
+        known = weights > 0
+        noise = max(float(MAD_TO_STD * np.median(np.abs(off[known]))) if known.any() else 0.0, MIN_NOISE_MM)
+        spread = gaussian_filter1d(
+            np.stack([np.bincount(at, weights, count), np.bincount(at, weights * off**2, count)]), window, axis=1
+        )
+        local = np.clip(np.sqrt(spread[1] / np.maximum(spread[0], 1e-9)), noise, LOCAL * noise)
+        weights = np.maximum(1 - (off / np.maximum(TUKEY * local[at], 1e-9)) ** 2, 0) ** 2
+    # A Gaussian window of sigma w stations counts as 2 sqrt(pi) w of them.
+    covariance[:, :terms, :terms] = inverse * noise**2 / (np.sqrt(2.0))
+    return coefficients, covariance, noise, weights

@@ -1,0 +1,81 @@
+"""What a joint shows around its root line: the reach of its faces, the rounding and the sharpness of its corner."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, median_filter
+
+from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, fit_faces, intersections, root_normals
+from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
+
+Floats = NDArray[np.float64]
+
+#: Part of the reach over which a corner is looked at closely.
+CLOSE = 0.4
+#: Leg lengths end where less than this share of the usual number of points lies on the face.
+LEG_COVERAGE = 0.3
+
+
+def leg_lengths(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, scale: Scale) -> Floats:
+    """How far each face reaches (2, S), mm, at most 12 cells."""
+    reach = 12 * scale.cell
+    _, station, offset = nearest_stations(points, curve, reach)
+    outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
+    height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
+    width = max(2.0 * scale.spacing, scale.cell / 3)
+    bins = int(reach / width)
+    bend = sides.coefficients[..., 2]
+    legs = np.empty((2, len(curve)))
+    for side in range(2):
+        off = height[side] - np.clip(bend[side], -0.2 / reach, 0.2 / reach)[station] * outward[side] ** 2
+        tolerance = 4 * sides.noise[side] + 0.06 * np.abs(outward[side]) + 0.02 * scale.cell
+        on = (outward[side] > 0) & (np.abs(off) < tolerance)
+        place = station[on] * bins + np.minimum((outward[side][on] / width).astype(int), bins - 1)
+        counts = np.bincount(place, minlength=len(curve) * bins).reshape(-1, bins).astype(float)
+        counts = gaussian_filter1d(counts, 2.0, axis=0)
+        usual = np.median(counts[:, 1 : max(int(2 * scale.cell / width), 2)], axis=1, keepdims=True)
+        empty = counts < LEG_COVERAGE * usual
+        empty = empty[:, :-1] & empty[:, 1:] if bins > 1 else empty
+        empty[:, 0] = False
+        legs[side] = np.where(empty.any(axis=1), empty.argmax(axis=1) * width, reach)
+        legs[side] = median_filter(legs[side], size=5, mode="nearest")
+    return legs
+
+
+def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, shift: Floats, scale: Scale) -> float:
+    """Radius about the root, mm, within which the points miss both faces: a bead, a rounded or a blurred corner."""
+    _, station, offset = nearest_stations(points, curve, scale.far)
+    offset = offset - shift[station, :1] * curve.across[station] - shift[station, 1:] * curve.up[station]
+    outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
+    height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
+    slope = sides.coefficients[:, station, 1]
+    bend = sides.coefficients[:, station, 2]
+    off = np.abs(height - (slope + bend * outward) * outward)
+    off = np.where(outward > -0.2 * scale.cell, off, np.inf).min(axis=0)
+    distance = np.linalg.norm(offset, axis=1)
+    width = max(scale.spacing, scale.far / 24)
+    limit = 2.5 * float(sides.noise.max()) + 0.01 * scale.cell
+    radius = 0.0
+    for ring in range(int(0.6 * scale.far / width)):
+        inside = (distance >= ring * width) & (distance < (ring + 1) * width)
+        if inside.sum() > 10 and np.median(off[inside]) > limit:
+            radius = (ring + 1) * width
+    return radius
+
+
+def sharpness(points: Floats, curve: SeamCurve, faces: Faces, turn_rad: float, scale: Scale) -> float:
+    """Share of the turn that the faces show when only what is near the root is fitted."""
+    near = replace(scale, cell=CLOSE * scale.cell, rounding=0.0)
+    if near.far < 3 * near.near:
+        near = replace(near, cell=3 * near.near / 4.5)
+    sides = fit_faces(points, curve, faces, near)
+    if sides is None:
+        return 1.0
+    flat = replace(sides, coefficients=sides.coefficients * [1.0, 1.0, 0.0]) if not any(sides.bent) else sides
+    _, slopes = intersections(curve, faces, flat)
+    first, second = root_normals(faces, slopes)
+    turn = np.arccos(np.clip(np.einsum("si,si->s", first, second), -1, 1))
+    return float(np.median(turn)) / max(turn_rad, 1e-6)
