@@ -41,7 +41,11 @@ class AmbiguousError(DegenerateError):
     """Several answers fit the data alike; the message names the motion between them."""
 
 
-class TooSmallError(DegenerateError):
+class NoPathError(DegenerateError):
+    """A piece stands out, but it shows no path that lies on it."""
+
+
+class TooSmallError(NoPathError):
     """A bead shows too few points to be followed."""
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, TooSmallError
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, NoPathError
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
@@ -110,8 +110,8 @@ def detect(
             part; a largest bead that branches.
 
     Warns:
-        GrindvisionWarning: something speaks against the result (``diagnose``); a piece that is too small to be
-            followed, or that branches and is not the largest.
+        GrindvisionWarning: something speaks against the result (``diagnose``); a piece that shows no path, or that
+            branches and is not the largest.
 
     Example:
         >>> from grindvision import DetectOptions, SimulateOptions, detect, simulate
@@ -140,13 +140,14 @@ def detect(
 
 
 def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:
-    """Paths of all pieces; one that is too small, or branches and is not the largest, is left out with a warning."""
+    """Paths of all pieces; one without a path on it, or that branches and is not the largest, is left out with a
+    warning."""
     beads = []
     for rank, cluster in enumerate(difference.clusters):
         try:
             beads.append(trace_bead(cluster, points))
         except DegenerateError as error:
-            if rank == 0 and not isinstance(error, TooSmallError):
+            if rank == 0 and not isinstance(error, NoPathError):
                 raise
             warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
     return tuple(beads)

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import InputError, TooSmallError
+from grindvision.errors import InputError, NoPathError, TooSmallError
 from grindvision.geometry.curves import Curve
+from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.neighbours import nearest
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -47,6 +49,16 @@ ACROSS_POWERS = ACROSS[:, None] ** POWERS
 
 FLANK, MIN_FLANK = 0.2, 0.05
 """A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
+
+CREST_QUANTILE, MIN_CREST_CELLS = 0.7, 4.0
+"""The crest of a piece whose sections have no ridge (fins, edges) is the mean of the points above this quantile; it
+must be so many cells long."""
+
+FIN_CELLS = 0.25
+"""A piece whose feet lie within so many cells of its course is a fin and has no cross-section."""
+
+FACE_MM, FACE_TOP, FACE_FRACTION = 12.0, 0.6, 0.75
+"""A piece so wide, of whose points such a fraction stands higher than such a share of its peak, is a face, no bead."""
 
 
 @by_content
@@ -85,25 +97,99 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
     about its normal.
 
     Raises:
-        InputError: fewer than one point. TooSmallError: too few points to follow. DegenerateError: the bead branches.
+        InputError: fewer than one point. TooSmallError: too few points to follow. NoPathError: a face, or no path that
+            stays on the piece's own points. DegenerateError: the bead branches.
     """
     if points < 1:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
     curve, closed, width = bead_centreline(cluster)
-    stations = Curve(curve, closed)
-    for _ in range(2):
-        stations = Curve(_smoothed(_ridge(cluster, stations, width)[0], closed), closed)
-    feet, normals, heights = _ridge(cluster, stations, width)
+    _refuse_face(cluster, width)
+    course = Curve(curve, closed)
+    for follow in (_follow_sections, _follow_crest):
+        try:
+            path = _placed(cluster, *follow(cluster, course, width), closed, width, points)
+        except TooSmallError:
+            if follow is _follow_crest:
+                raise
+            continue
+        if lies_on(cluster, path.points) and lies_on(cluster, path.ridge, 2.0):
+            return path
+    raise NoPathError(
+        f"it stands {cluster.peak_mm:.2f} mm out over {cluster.area_mm2:.3g} mm2 but shows no ridge: every path along"
+        " it would leave its points; it may be flash or an edge that is seen from one side only, scan it from above"
+    )
+
+
+def lies_on(cluster: Cluster, places: ArrayLike, cells: float = 1.0) -> bool:
+    """Whether each of the places (M, 3) has a point of the piece within so many cells."""
+    size = cluster.spacing_mm
+    at, _ = nearest(build_cells(cluster.points, size), np.asarray(places, dtype=float), cells * size)
+    return bool(np.isfinite(places).all() and (at >= 0).all())
+
+
+def _refuse_face(cluster: Cluster, width: float) -> None:
+    """Refuse to draw a line along what stands out as a face.
+
+    Raises:
+        NoPathError: it does.
+    """
+    heights = cluster.signed_mm
+    if width > FACE_MM and (heights > FACE_TOP * cluster.peak_mm).mean() > FACE_FRACTION:
+        raise NoPathError(
+            f"a face of {cluster.area_mm2:.3g} mm2 stands out by {np.median(heights):.2f} mm; it has no ridge that a"
+            " path could follow, take it off as a face"
+        )
+
+
+def _placed(
+    cluster: Cluster, feet: Floats, normals: Floats, heights: Floats, closed: bool, width: float, points: int
+) -> BeadPath:
+    """The path over a ridge of given feet (M, 3), normals (M, 3) and heights (M,)."""
     ridge = Curve(feet + heights[:, None] * normals, closed)
     start, end = (0.0, ridge.length_mm) if closed else _ends(cluster, ridge)
     at = start + (end - start) * ((np.arange(points) + (0.0 if closed else 0.5)) / points)
-    chosen = ridge.at(at)
-    up = ridge.smooth(normals, at)
     dense = ridge.at(np.linspace(start, end, max(int((end - start) / (0.1 * width)), 2 * points, 20)))
     across = cluster.area_mm2 / max(end - start, 1e-9)
     return BeadPath(
-        chosen, up, dense, closed, float(end - start), float(min(across, 10 * width)), float(np.median(heights))
+        ridge.at(at),
+        ridge.smooth(normals, at),
+        dense,
+        closed,
+        float(end - start),
+        float(min(across, 10 * width)),
+        float(np.median(heights)),
     )
+
+
+def _follow_sections(cluster: Cluster, course: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+    """Ridge by the cross-sections, the course drawn to it twice: feet (M, 3), normals (M, 3), heights (M,)."""
+    for _ in range(2):
+        course = Curve(_smoothed(_ridge(cluster, course, width)[0], course.closed), course.closed)
+    return _ridge(cluster, course, width)
+
+
+def _follow_crest(cluster: Cluster, course: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+    """Crest over stations along the course: the mean of the highest points about each; as ``_follow_sections``."""
+    reach = max(width, 2 * cluster.spacing_mm)
+    s = course.arc_of(cluster.points)
+    count = max(int(np.ceil(course.length_mm / reach)), 2)
+    crests, normals, heights = [], [], []
+    for arc in np.linspace(0.0, course.length_mm, count + (not course.closed), endpoint=not course.closed):
+        away = np.abs(s - arc)
+        near = np.flatnonzero((np.minimum(away, course.length_mm - away) if course.closed else away) < reach)
+        if len(near) < 4:
+            continue
+        high = near[cluster.signed_mm[near] >= np.quantile(cluster.signed_mm[near], CREST_QUANTILE)]
+        up = cluster.normals[high].sum(axis=0)
+        length = np.linalg.norm(up)
+        if length > 0.5 * len(high):
+            crests.append(cluster.points[high].mean(axis=0))
+            normals.append(up / length)
+            heights.append(cluster.signed_mm[high].mean())
+    if len(crests) < 3 or np.linalg.norm(crests[-1] - crests[0]) < MIN_CREST_CELLS * cluster.spacing_mm:
+        raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
+    tops, up, above = np.array(crests), np.array(normals), np.array(heights)
+    return _smoothed(tops, course.closed) - above[:, None] * up, up, above
 
 
 def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Floats, Floats]:
@@ -120,6 +206,8 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     offsets = feet - stations.at(near)
     sides = np.cross(cluster.normals, stations.tangents(near))
     b_all = (offsets * sides).sum(axis=1) / np.linalg.norm(sides, axis=1)
+    if np.quantile(np.abs(b_all), 0.9) < FIN_CELLS * cluster.spacing_mm:
+        raise TooSmallError("the piece is a fin, thinner than the scan can show; scan it denser")
     count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
     arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
     around_mm = stations.length_mm if stations.closed else np.inf
