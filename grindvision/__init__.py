@@ -8,7 +8,7 @@ vision``.
 
 from grindvision.lazy import lazy_names
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "clouds": ("Cloud", "read_cloud", "write_ply"),

@@ -213,3 +213,14 @@ def test_the_area_of_a_square_is_about_right(rng):
     assert surface_area(tilted) == pytest.approx(10_000, rel=0.35)
     with pytest.raises(DegenerateError, match="coincide"):
         surface_area(np.zeros((50, 3)))
+
+
+def test_planes_of_a_larger_scan_are_larger_and_their_variance_with_the_square(rng):
+    points = np.column_stack([rng.uniform(-20, 20, (4000, 2)), rng.normal(0, 0.1, 4000)])
+    points[:, 2] += 0.3 * np.sin(points[:, 0])  # roughness beside the noise
+    small, large = build_surfels(points, 2.0), build_surfels(4 * points, 8.0)
+    assert (small.roughness_mm > small.noise_mm).any()
+    np.testing.assert_allclose(large.planes, small.planes * [4, 4, 4, 1, 1, 1, 1, 16], rtol=1e-6, atol=1e-9)
+    noise, counts = small.noise_mm, small.counts
+    bound = (noise**2 / counts)[small.grid.order]
+    assert (small.planes[:, 7] >= bound * (1 - 1e-12)).all()

@@ -13,6 +13,7 @@ from grindvision.geometry import fit_plane
 from grindvision.vision.depth_calibration.field_correction import (
     CalibrateFieldOptions,
     FieldCorrection,
+    _at_measured,
     calibrate_field,
     held_out_rms_mm,
     read_field,
@@ -262,3 +263,15 @@ def test_a_correction_says_what_it_is():
     grid = np.full((2, 2, 2), 0.25)
     words = str(FieldCorrection(grid, np.array([-0.3, -0.2, 400]), np.array([0.3, 0.2, 500]), np.array([0.0, 0, 1])))
     assert words == "field correction of 0.250 mm rms from 400 to 500 mm"
+
+
+def test_a_field_over_the_measured_place_is_the_one_over_the_true_place_where_the_point_stood():
+    """A true field that grows along the plate's normal has a closed form over what was measured, for every ray."""
+    normal = np.array([0.5, -0.3, np.sqrt(1 - 0.34)])
+    low, high = np.array([-0.4, -0.2, 300.0]), np.array([0.4, 0.3, 500.0])
+    fine = [np.linspace(start, end, count) for start, end, count in zip(low, high, (5, 4, 21), strict=True)]
+    u, v, distance = np.meshgrid(*fine, indexing="ij")
+    found = _at_measured(FieldCorrection(0.01 * (distance - 300) + 2 * u - v, low, high, normal), fine)
+    along = u * normal[0] + v * normal[1] + normal[2]
+    wanted = (0.01 * (distance - 300) + 2 * u - v) / (1 + 0.01 * along)
+    assert_allclose(found.error_grid_mm[:, :, 2:-2], wanted[:, :, 2:-2], atol=1e-5)

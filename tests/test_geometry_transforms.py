@@ -127,3 +127,13 @@ def test_axis_and_angle_are_scipy_s(rng, angle):
     if angle > 1e-7:
         np.testing.assert_allclose(np.cross(geometry.rotation_axis(turn), axis), 0, atol=1e-7)
         assert geometry.rotation_axis(turn) @ axis > 0 or angle == np.pi
+
+
+def test_the_axis_of_a_rotation_points_the_way_it_was_made(rng):
+    for axis, angle in zip(unit_vectors(rng, 60), rng.uniform(0.05, 3.0, 60), strict=True):
+        np.testing.assert_allclose(geometry.rotation_axis(geometry.rotation_about(axis, angle)), axis, atol=1e-9)
+
+
+def unit_vectors(rng, count):
+    vectors = rng.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]

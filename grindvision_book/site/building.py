@@ -26,7 +26,8 @@ from grindvision_book.site.scenes import SCENES, Scene, scene_link, scenes_page,
 
 SOURCES = Path(__file__).parents[1] / "site_sources"
 
-_TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+_DECISIONS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs" / "decisions").glob("*.md")))
+_TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md", *_DECISIONS)
 _LINKED = (
     "LICENSE",
     "LICENSE-TEXT",
@@ -53,6 +54,7 @@ _CONTENTS = {
         "conventions", "glossary", "api/index", "data/README", "references", "CHANGELOG",
         "CONTRIBUTING",
     ),
+    "Decisions": tuple(path.removesuffix(".md") for path in _DECISIONS),
 }  # fmt: skip
 
 
