@@ -18,6 +18,7 @@ from grindvision_book.machinery.answers import write_scoreboard
 from grindvision_book.machinery.kept import installed
 from grindvision_book.machinery.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
+from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
 from grindvision_book.site.pictures import figures_in, light_copies, lightened, tables_in
@@ -47,7 +48,7 @@ _CONTENTS = {
     "The book": ("00", "figures/scoreboard", "findings", "gallery", "scenes"),
     "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
     "peng2020: welding": ("10", "11"),
-    "Your own scans and arm": ("12", "when_it_does_not_work"),
+    "Your own scans and arm": ("12", "examples", "when_it_does_not_work"),
     "Teaching": ("teachers_guide", "exercises"),
     "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
     "Reference": (
@@ -136,7 +137,16 @@ def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) ->
 
 def _inputs(executed: Path, figures: Path, notebooks: Path, asked: str) -> str:
     """One hash of everything that the pages are made of; the sources of the package for its reference."""
-    folders = [executed, figures, FIGURES, notebooks, SOURCES, ROOT / "grindvision", ROOT / "grindvision_book"]
+    folders = [
+        executed,
+        figures,
+        FIGURES,
+        notebooks,
+        SOURCES,
+        EXAMPLES,
+        ROOT / "grindvision",
+        ROOT / "grindvision_book",
+    ]
     files = [ROOT / page for page in ("README.md", *_TEXTS, *_LINKED)]
     parts = [_digest_of(folder) for folder in folders] + [sha256(file) for file in files if file.exists()]
     return hashlib.sha256("\n".join([installed(), asked, *parts]).encode()).hexdigest()
@@ -193,11 +203,13 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
         if (ROOT / text).exists():
             (sources / text).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / text, sources / text)
+    shutil.copytree(EXAMPLES, sources / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     pages = {path.name: path.read_text(encoding="utf-8") for path in SOURCES.glob("*.md")}
     pages["findings.md"] = findings_page(pages["findings.md"], sources / "figures")
     pages["gallery.md"] = gallery_page(
         sources / "figures", drawn, tables, {**titles, "races": "[Races](benchmarks/README.md)"}
     )
+    pages["examples.md"] = examples_page()
     if exercises:
         pages["exercises.md"] = _exercises_page([path.stem for path in exercises])
     if scenes:
