@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.geometry import move_points, rigid, rotate_vectors, small_motion
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.surface.signed_distance import signed_distances
+from grindvision.vision.surface.signed_distance import CellBlocks, signed_distances
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -48,9 +48,10 @@ def refine_bent(
     transform = start.T_target_source
     prior = start.rms_mm
     done, rests = 0, False
+    blocks = CellBlocks.unknown(len(source))
     while done < iterations and not rests:
         moved = move_points(transform, source)
-        residual, up, variance = signed_distances(target, moved, 2 * size)
+        residual, up, variance = signed_distances(target, moved, 2 * size, blocks)
         used = ~np.isnan(residual) & ((rotate_vectors(transform, normals) * up).sum(axis=1) > 0.7)
         moved, up, residual, variance = moved[used], up[used], residual[used], variance[used]
         centre = moved.mean(axis=0)
