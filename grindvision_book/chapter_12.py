@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.clouds import extent, finite_points, read_cloud
 from grindvision.errors import InputError
-from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES
+from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES
 from grindvision.vision.surface.surfels import build_surfels
 
 Floats = NDArray[np.float64]
@@ -134,7 +134,7 @@ def doubts_of_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: flo
             "share with both edges seen",
             groove["edges_seen"],
             ">=",
-            LEAST_BOTH_SIDES,
+            MIN_BOTH_SIDES,
             "partly outside the cloud: scan it whole",
         ),
         ("deviation of the root, mm", groove["root_deviation_mm"], "<=", 1.0, "the root is uncertain"),

@@ -10,7 +10,7 @@ import pytest
 from grindvision.clouds import write_ply
 from grindvision.errors import InputError
 from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors
-from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES
+from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES
 from grindvision_book import chapter_12
 from grindvision_book.machinery.places import NOTEBOOKS
 from tests.grinding_scene import arc_bead, pair
@@ -72,7 +72,7 @@ def test_a_weak_result_is_doubted():
 
 
 def test_the_table_doubts_a_groove_where_the_command_does():
-    for edges_seen, verdict in ((LEAST_BOTH_SIDES, "well"), (LEAST_BOTH_SIDES - 0.01, "look")):
+    for edges_seen, verdict in ((MIN_BOTH_SIDES, "well"), (MIN_BOTH_SIDES - 0.01, "look")):
         groove = {"width_mm": 10.0, "depth_mm": 6.0, "length_mm": 120.0, "root_deviation_mm": 0.05}
         report = {"grooves": [groove | {"edges_seen": edges_seen}]}
         rows = chapter_12.doubts_of_groove(report, 0.7, 0.1).set_index("quantity")["verdict"]

@@ -15,7 +15,7 @@ from grindvision.arm import read_arm, write_arm
 from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.geometry import rigid, rotation_about
-from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, LEAST_WALL_SLOPE
+from grindvision.vision.seam.groove_fit import MIN_POINTS_ACROSS, MIN_WALL_SLOPE
 from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 from tests.groove_scenes import cloud, grid, straight_groove, vee
@@ -412,8 +412,8 @@ def test_every_section_of_the_page_has_its_mistake():
 
 def test_numbers_on_the_page_are_those_of_the_code():
     page = PAGE.read_text(encoding="utf-8")
-    assert f"walls flatter than {np.degrees(np.arctan(LEAST_WALL_SLOPE)):.0f} degrees" in page
-    assert LEAST_POINTS_ACROSS == 4 and "fewer than four points fit across" in page
+    assert f"walls flatter than {np.degrees(np.arctan(MIN_WALL_SLOPE)):.0f} degrees" in page
+    assert MIN_POINTS_ACROSS == 4 and "fewer than four points fit across" in page
 
 
 @pytest.mark.parametrize(("title", "make"), MISTAKES, ids=[make.__name__ for _, make in MISTAKES])

@@ -32,7 +32,7 @@ ENOUGH = 20
 SAME_SPOT_MM, COS_SAME = 1.5, 0.9
 """Both scans saw a spot where their true points and normals are so near."""
 
-LEAST_FIXED = 0.001
+MIN_FIXED = 0.001
 """A motion is fixed when the mean square of what it moves across the surface is this share of the motion's at least."""
 
 
@@ -174,7 +174,7 @@ def _determined(piece: Workpiece, sample: Scan, test: Scan) -> bool:
     arms = spots[1][shared] - spots[1][shared].mean(axis=0)
     arms /= np.sqrt((arms**2).sum(axis=1).mean())
     jacobian = np.column_stack([facing[1][shared], np.cross(arms, facing[1][shared])])
-    return bool(np.linalg.eigvalsh(jacobian.T @ jacobian / len(jacobian))[0] > LEAST_FIXED)
+    return bool(np.linalg.eigvalsh(jacobian.T @ jacobian / len(jacobian))[0] > MIN_FIXED)
 
 
 def _mark_id(scan: Scan) -> int:

@@ -24,10 +24,10 @@ FEWEST_NORMALS, NEARLY_ALL = 12, 0.99
 #: What a triangle takes while its mesh is read: its bytes, strings, corners, edges, and the sorting of its vertices.
 MEMORY_PER_MESH_BYTE = 12.0
 
-#: Vertices stand for the surface where edges longer than this share of the diagonal bound little of its area.
-LONG_EDGE, MOST_LONG = 0.02, 0.05
-#: Distance of samples, share of the diagonal, and how many there are at most.
-SAMPLE_STEP, MOST_SAMPLES = 1 / 700, 1_000_000
+#: Vertices stand for the surface where edges longer than this fraction of the diagonal bound little of its area.
+LONG_EDGE, MAX_LONG = 0.02, 0.05
+#: Distance of samples, fraction of the diagonal, and how many there are at most.
+SAMPLE_STEP, MAX_SAMPLES = 1 / 700, 1_000_000
 
 
 def read_stl(path: Path, file: BinaryIO) -> Content:
@@ -113,9 +113,9 @@ def _surface(triangles: Floats, vertices: Floats | None = None) -> Content:
         return Content(vertices, mesh=True)
     diagonal = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0)))
     long = np.linalg.norm(edges, axis=2).max(axis=1) > LONG_EDGE * diagonal
-    if areas[long].sum() <= MOST_LONG * areas.sum():
+    if areas[long].sum() <= MAX_LONG * areas.sum():
         return Content(vertices, mesh=True)
-    count = int(min(areas.sum() / (SAMPLE_STEP * diagonal) ** 2, MOST_SAMPLES))
+    count = int(min(areas.sum() / (SAMPLE_STEP * diagonal) ** 2, MAX_SAMPLES))
     ends = np.round(np.cumsum(areas) / areas.sum() * count).astype(int)
     owner = np.repeat(np.arange(len(triangles)), np.diff(ends, prepend=0))
     return Content(

@@ -32,7 +32,7 @@ PCD_TYPES = {
 
 #: LZF packs no run tighter than 264 bytes into 3.
 LARGEST_RATIO = 88
-MOST_VALUES_PER_POINT = 4096
+MAX_VALUES_PER_POINT = 4096
 
 
 @by_content
@@ -78,7 +78,7 @@ def _header(path: Path, file: BinaryIO) -> _Header:
         said[words[0].upper()] = words[1:]
     try:
         counts = [count_in_header(path, word) for word in said.get("COUNT", ["1"] * len(said["FIELDS"]))]
-        if min(counts) < 1 or sum(counts) > MOST_VALUES_PER_POINT:
+        if min(counts) < 1 or sum(counts) > MAX_VALUES_PER_POINT:
             raise ValueError
         fields = [
             (PCD_TYPES[kind.upper(), size], count)

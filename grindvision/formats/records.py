@@ -16,7 +16,7 @@ from grindvision.input_files import bytes_left, check_memory, read_rest
 
 Floats = NDArray[np.float64]
 
-MOST_HEADER_LINES, LONGEST_HEADER_LINE = 1000, 10_000
+MAX_HEADER_LINES, LONGEST_HEADER_LINE = 1000, 10_000
 
 #: A line of 30 bytes takes 190 while its numbers are read: twice the text, a Python string, three floats.
 MEMORY_PER_TEXT_BYTE = 7.0
@@ -31,7 +31,7 @@ def header_lines(path: Path, file: BinaryIO, last: bytes) -> Iterator[list[str]]
     Raises:
         FileError: there is no such line.
     """
-    for _ in range(MOST_HEADER_LINES):
+    for _ in range(MAX_HEADER_LINES):
         line = file.readline(LONGEST_HEADER_LINE)
         words = line.decode("latin-1").split()
         if words:

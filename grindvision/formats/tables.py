@@ -15,7 +15,7 @@ from grindvision.formats.records import MEMORY_PER_TEXT_BYTE, content_of_rows, n
 from grindvision.input_files import read_rest
 
 COMMENTS = ("#", "//", "%")
-MOST_HEADER_LINES = 50
+MAX_HEADER_LINES = 50
 SAMPLE = 20
 
 #: A column's name as exporters write it: x, "X", x_mm, x [mm], X/m, Nx, normal_x; ParaView counts: Points:0.
@@ -38,7 +38,7 @@ def read_table(path: Path, file: BinaryIO) -> Content:
     while begin < len(lines) and not _is_number(lines[begin]):
         title = lines[begin]
         begin += 1
-        if begin > MOST_HEADER_LINES:
+        if begin > MAX_HEADER_LINES:
             raise FileError(f"{path}: no numbers in the first {begin} lines; is it a table of x y z?")
     rows = [line for line in lines[begin:] if not line.startswith(COMMENTS)]
     if len(rows) > 1 and rows[0].isdigit() and not rows[1].isdigit():

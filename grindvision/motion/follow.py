@@ -192,9 +192,9 @@ def _complaint(robot: Robot, poses: Floats, q: Floats, missed: NDArray[np.bool_]
         why = "it lies beyond the arm's reach with the tool in this direction"
     held, _, _ = _drive(robot, poses[missed], q[first], spin_free, mm_per_rad=100 * _MM_PER_RAD)
     shifts = robot.forward(held)[:, :3, 3] - poses[missed, :3, 3]
-    shift = shifts[np.linalg.norm(shifts, axis=1).argmax()]
-    if np.linalg.norm(shift) > 1.0:
-        x, y, z = shift
+    displacement = shifts[np.linalg.norm(shifts, axis=1).argmax()]
+    if np.linalg.norm(displacement) > 1.0:
+        x, y, z = displacement
         return f"{where}: {why}; move the work by about ({x:.0f}, {y:.0f}, {z:.0f}) mm, or tilt or spin the tool"
     return f"{where}: {why}; tilt or spin the tool{'' if spin_free else ', or let it spin freely'}, or turn the work"
 

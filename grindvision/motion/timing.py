@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 #: The tool's own acceleration along the seam at start and end, mm/s^2.
 TOOL_ACCELERATION = 100.0
 
-#: Share of a joint's limits the time law uses; what is kept back covers the path between two points of its grid.
+#: Fraction of a joint's limits the time law uses; what is kept back covers the path between two points of its grid.
 _USED = 0.99
 
 
@@ -47,7 +47,7 @@ class TimeLaw:
 
     @property
     def steady_share(self) -> float:
-        """Share of the seam's length, 0..1, run within 1 % of the speed asked for; the rest starts, brakes or bends."""
+        """Fraction of the seam's length run within 1 % of the speed asked for; the rest starts, brakes or bends."""
         steady = self.tool_speed_mm_s >= 0.99 * self.asked_speed_mm_s
         return float(np.sum(np.diff(self.arc_mm)[steady[1:] & steady[:-1]]) / self.arc_mm[-1])
 

@@ -22,7 +22,7 @@ from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffnes
 Floats = NDArray[np.float64]
 
 #: Bins along the longer side of the field, at most, and points of a plate in a bin on average, at least.
-MOST_BINS = 64
+MAX_BINS = 64
 POINTS_PER_BIN = 9
 
 #: The result's grid is finer than the bins: then straight lines between its nodes follow the spline.
@@ -35,7 +35,7 @@ STRAY = 6.0
 PLENTY = 20_000
 
 #: Plates may differ from what is said of them by this much, mm and share: more is a mistake, not a scanner's error.
-DOUBT_MM, DOUBT_SHARE, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
+DOUBT_MM, DOUBT_FRACTION, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
 
 LARGEST_NODES = 20_000_000
 
@@ -227,14 +227,14 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     low = np.min([part.min(axis=0) for part in slopes], axis=0)
     high = np.max([part.max(axis=0) for part in slopes], axis=0)
     fewest = min(len(cloud) for cloud in clouds)
-    side = max(np.sqrt(np.prod(high - low) * POINTS_PER_BIN / fewest), (high - low).max() / MOST_BINS)
+    side = max(np.sqrt(np.prod(high - low) * POINTS_PER_BIN / fewest), (high - low).max() / MAX_BINS)
     shape = np.maximum(np.rint((high - low) / side), 3).astype(int)
     bins = [_bin_means(part, cloud[:, 2], low, high, shape) for part, cloud in zip(slopes, clouds, strict=True)]
     counts, rays, depths = (np.stack(parts) for parts in zip(*bins, strict=True))
     seen = counts > 0
     normal, offset = _parallel_planes(rays * depths[..., None], seen, steps[order], order)
     first = offset if distance_mm is None else float(distance_mm)
-    if not abs(first - offset) <= DOUBT_MM + DOUBT_SHARE * offset:
+    if not abs(first - offset) <= DOUBT_MM + DOUBT_FRACTION * offset:
         raise InputError(f"distance_mm is {first:g}, but the first plate's points lie {offset:.1f} mm away; check both")
     at = first + steps[order]
     error = np.where(seen, depths - at[:, None] / np.where(seen, rays @ normal, 1.0), 0.0)
@@ -294,7 +294,7 @@ def _parallel_planes(
     offset = float(plane.offset_mm * np.sign(plane.normal[2]))
     for k, cloud, mask, step, own in zip(order, means, seen, steps, normals, strict=True):
         stands = float((cloud[mask] @ normal).mean())
-        if abs(stands - offset - step) > DOUBT_MM + DOUBT_SHARE * np.abs(steps).max():
+        if abs(stands - offset - step) > DOUBT_MM + DOUBT_FRACTION * np.abs(steps).max():
             raise InputError(
                 f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step {step:g};"
                 " check the order, sign and unit of the steps"

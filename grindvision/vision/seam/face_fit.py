@@ -29,7 +29,7 @@ MIN_NOISE_MM = 1e-4
 LOCAL = 3.0
 #: Points at first belong to a face up to this slope off it.
 MAX_SLOPE_OFF = 0.6
-#: A face bends if a parabola leaves less than this share of what a straight line leaves.
+#: A face bends if a parabola leaves less than this fraction of what a straight line leaves.
 CLEARLY_BENT = 0.9
 
 
@@ -149,9 +149,9 @@ def intersections(curve: SeamCurve, faces: Faces, sides: FaceFit) -> tuple[Float
     basis = np.stack([curve.across, curve.up], axis=1)
     outward = np.einsum("sij,ksj->ksi", basis, faces.outward)
     normal = np.einsum("sij,ksj->ksi", basis, faces.normal)
-    shift = np.zeros((len(curve), 2))
+    displacement = np.zeros((len(curve), 2))
     for _ in range(4):
-        a = np.einsum("ksi,si->ks", outward, shift)
+        a = np.einsum("ksi,si->ks", outward, displacement)
         value = sides.coefficients[..., 0] + (sides.coefficients[..., 1] + sides.coefficients[..., 2] * a) * a
         slope = sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
         rows = normal - slope[..., None] * outward
@@ -159,15 +159,15 @@ def intersections(curve: SeamCurve, faces: Faces, sides: FaceFit) -> tuple[Float
         matrix = rows.transpose(1, 0, 2)
         determinant = matrix[:, 0, 0] * matrix[:, 1, 1] - matrix[:, 0, 1] * matrix[:, 1, 0]
         safe = np.where(np.abs(determinant) < 1e-3, 1e-3, determinant)
-        shift = np.stack(
+        displacement = np.stack(
             [
                 (right[0] * matrix[:, 1, 1] - right[1] * matrix[:, 0, 1]) / safe,
                 (right[1] * matrix[:, 0, 0] - right[0] * matrix[:, 1, 0]) / safe,
             ],
             axis=1,
         )
-    a = np.einsum("ksi,si->ks", outward, shift)
-    return shift, sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
+    a = np.einsum("ksi,si->ks", outward, displacement)
+    return displacement, sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
 
 
 def root_normals(faces: Faces, slopes: Floats) -> Floats:

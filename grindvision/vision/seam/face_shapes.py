@@ -19,10 +19,10 @@ PLANE, CYLINDER, FREE_FORM = "plane", "cylinder", "free form"
 
 #: Surfels up to so many cells from the seam show the shape of a face.
 REACH_CELLS = 8.0
-#: A face is a plane while its surfels keep within so many times the noise, or this share of their extent, of one.
-PLANE_NOISE, PLANE_SHARE = 1.0, 0.02
-#: A cylinder leaves at most this share of what a plane leaves.
-CYLINDER_SHARE = 0.35
+#: A face is a plane while its surfels keep within so many times the noise, or this fraction of their extent, of one.
+PLANE_NOISE, PLANE_FRACTION = 1.0, 0.02
+#: A cylinder leaves at most this fraction of what a plane leaves.
+CYLINDER_FRACTION = 0.35
 #: Surfels that lie in the extension of a face, or on a parallel surface, have normals within this of the face's.
 PARALLEL_RAD = np.radians(12.0)
 #: A face that ends within this behind the other one is a corner's, if so much of that stretch is seen to be empty.
@@ -122,7 +122,7 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     values = np.linalg.svd(centred, compute_uv=False)
     flat = float(values[2] / np.sqrt(len(points)))
     extent = float(values[0] / np.sqrt(len(points)))
-    if flat < max(PLANE_NOISE * noise, PLANE_SHARE * extent):
+    if flat < max(PLANE_NOISE * noise, PLANE_FRACTION * extent):
         return FaceShape(PLANE)
     axis = np.linalg.eigh(normals.T @ normals)[1][:, 0]
     first = np.linalg.svd(axis[None])[2][1:]
@@ -131,6 +131,6 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     solution = np.linalg.lstsq(np.column_stack([2 * u, 2 * v, np.ones(len(u))]), u * u + v * v, rcond=None)[0]
     radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0.0)))
     off = np.hypot(u - solution[0], v - solution[1]) - radius
-    if float(np.sqrt((off**2).mean())) < max(CYLINDER_SHARE * flat, noise):
+    if float(np.sqrt((off**2).mean())) < max(CYLINDER_FRACTION * flat, noise):
         return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])))
     return FaceShape(FREE_FORM)

@@ -22,8 +22,8 @@ MIN_SPACINGS, MAX_SPACINGS = 2.0, 12.0
 HOLE_SPACINGS = 0.95
 #: What lies so many spacings, and so many times the noise, below the surface belongs to the gap.
 DEEP_SPACINGS, DEEP_NOISE = 1.0, 6.0
-#: Pieces of a gap are joined over so many spacings; gaps shorter than this share of the longest are left out.
-JOIN_SPACINGS, LONG_SHARE = 30.0, 0.3
+#: Pieces of a gap are joined over so many spacings; gaps shorter than this fraction of the longest are left out.
+JOIN_SPACINGS, LONG_FRACTION = 30.0, 0.3
 #: More gaps than this are the rows of the scanner, or a grid, and no joints.
 MAX_GAPS = 6
 #: More cells than this in holes are no few narrow gaps.
@@ -87,7 +87,7 @@ def find_gaps(
         if length > MIN_ASPECT * width and len(curve) > 3:
             gaps.append(GapLine(move_points(inverse(field.T_field_cloud), curve), width))
     lengths = np.array([np.linalg.norm(np.diff(gap.path, axis=0), axis=1).sum() for gap in gaps])
-    long_ones = [gap for gap, length in zip(gaps, lengths, strict=True) if length > LONG_SHARE * lengths.max()]
+    long_ones = [gap for gap, length in zip(gaps, lengths, strict=True) if length > LONG_FRACTION * lengths.max()]
     return long_ones if len(long_ones) <= MAX_GAPS else []
 
 

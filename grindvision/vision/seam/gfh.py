@@ -169,11 +169,11 @@ def _normals(
                 zz += w * dz * dz
             if n < 3:
                 continue
-            share = 1.0 / n
-            mx, my, mz = sx * share, sy * share, sz * share
+            fraction = 1.0 / n
+            mx, my, mz = sx * fraction, sy * fraction, sz * fraction
             _, nx, ny, nz = smallest_eigenpair(
-                xx * share - mx * mx, xy * share - mx * my, xz * share - mx * mz,
-                yy * share - my * my, yz * share - my * mz, zz * share - mz * mz,
+                xx * fraction - mx * mx, xy * fraction - mx * my, xz * fraction - mx * mz,
+                yy * fraction - my * my, yz * fraction - my * mz, zz * fraction - mz * mz,
             )  # fmt: skip
             side = 1.0 if nx * normals[p, 0] + ny * normals[p, 1] + nz * normals[p, 2] >= 0 else -1.0
             normals[p, 0], normals[p, 1], normals[p, 2] = side * nx, side * ny, side * nz
@@ -249,9 +249,9 @@ def _angles(
                 g2 += w * g * g
             # the point itself is in the sums, with both angles (relative to its own) zero
             if n >= 2:
-                share = 1.0 / n
-                local[p] = max(t2 * share - (t1 * share) ** 2, 0.0)
-                whole[p] = max(g2 * share - (g1 * share) ** 2, 0.0)
+                fraction = 1.0 / n
+                local[p] = max(t2 * fraction - (t1 * fraction) ** 2, 0.0)
+                whole[p] = max(g2 * fraction - (g1 * fraction) ** 2, 0.0)
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -56,8 +56,10 @@ class GfhDetection:
     voted: Flags
 
     def __str__(self) -> str:
-        count, share = int(self.labels.sum()), self.labels.mean()
-        return f"groove of {count:,} points, {share:.1%} of the cloud, base normal {self.features.base_normal.round(3)}"
+        count, fraction = int(self.labels.sum()), self.labels.mean()
+        return (
+            f"groove of {count:,} points, {fraction:.1%} of the cloud, base normal {self.features.base_normal.round(3)}"
+        )
 
 
 @one_blas_thread()

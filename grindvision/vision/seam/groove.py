@@ -19,8 +19,8 @@ from grindvision.geometry.bounds import diagonal_mm
 from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.seam.groove_diagnostics import LEAST_WALL_SHARE, wall_share
-from grindvision.vision.seam.groove_fit import LEAST_POINTS_ACROSS, fit_groove
+from grindvision.vision.seam.groove_diagnostics import MIN_WALL_FRACTION, wall_share
+from grindvision.vision.seam.groove_fit import MIN_POINTS_ACROSS, fit_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.height_field import spacing_of
 from grindvision.vision.seam.valley import find_valleys
@@ -30,13 +30,13 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: A groove holds at least this share of the volume of the first one.
-LEAST_VOLUME_SHARE = 0.05
+#: A groove holds at least this fraction of the volume of the first one.
+MIN_VOLUME_FRACTION = 0.05
 #: Where the largest valley is no groove or may be a gap, so many of the valleys under each smaller disc are fitted,
 #: largest first.
-MOST_LOOKED_AT = 4
-#: A path that runs along a known groove for this share is that groove again.
-KNOWN_SHARE = 0.5
+MAX_LOOKED_AT = 4
+#: A path that runs along a known groove for this fraction is that groove again.
+KNOWN_FRACTION = 0.5
 
 
 @by_content
@@ -144,10 +144,10 @@ def seen_cloud(points: ArrayLike, viewpoint_mm: ArrayLike | None, spacing_mm: fl
 def grooves_of(view: SeenCloud, width_mm: float | None = None, bevel: bool = False) -> GrooveDetection:
     """``find_grooves`` in a cloud that was made ready."""
     cloud, valid, sides, spacing = view.points, view.valid, view.sides, view.spacing_mm
-    if width_mm is not None and not width_mm >= LEAST_POINTS_ACROSS * spacing:
+    if width_mm is not None and not width_mm >= MIN_POINTS_ACROSS * spacing:
         raise InputError(
             f"the points are {spacing:.2g} mm apart, too sparse for a groove {width_mm:.3g} mm wide; at least"
-            f" {LEAST_POINTS_ACROSS:.0f} points must fit across it: scan more densely or from nearer"
+            f" {MIN_POINTS_ACROSS:.0f} points must fit across it: scan more densely or from nearer"
         )
     best: tuple[list[DetectedGroove], Floats, bool] = [], sides[0][0], False
     for frames in sides:
@@ -157,13 +157,13 @@ def grooves_of(view: SeenCloud, width_mm: float | None = None, bevel: bool = Fal
     if not best[0]:
         raise NoGrooveError(
             f"no groove in the cloud ({len(cloud):,} points, {spacing:.2g} mm apart): no place where two walls fall"
-            f" towards each other along a line, at least {LEAST_POINTS_ACROSS * spacing:.2g} mm apart at this spacing;"
+            f" towards each other along a line, at least {MIN_POINTS_ACROSS * spacing:.2g} mm apart at this spacing;"
             " check the view, and give the viewpoint if the camera does not stand at the origin"
         )
     rank = np.full(len(valid), -1)
     at = np.flatnonzero(valid)
     found = [_with_members(groove, at[groove.members]) for groove in best[0]]
-    least = LEAST_VOLUME_SHARE * found[0].volume_mm3
+    least = MIN_VOLUME_FRACTION * found[0].volume_mm3
     grooves = [groove for groove in found if groove.volume_mm3 >= least]
     for number, groove in reversed(list(enumerate(grooves))):
         rank[groove.members] = number
@@ -217,12 +217,12 @@ def _grooves_seen(
     cluttered = False
 
     def may_be_gap(groove: DetectedGroove) -> bool:
-        return wall_share(groove, cloud) < LEAST_WALL_SHARE
+        return wall_share(groove, cloud) < MIN_WALL_FRACTION
 
     for frame in frames:
         for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
             before = len(found)
-            for valley in valleys[:MOST_LOOKED_AT] if look else valleys:
+            for valley in valleys[:MAX_LOOKED_AT] if look else valleys:
                 path = move_points(inverse(field.T_field_cloud), valley.path)
                 if not _known(path, found):
                     groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found, bevel)
@@ -236,5 +236,5 @@ def _grooves_seen(
 def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:
     """Whether most of a path (M, 3) runs along one of the grooves."""
     return any(
-        (cKDTree(groove.root).query(path)[0] < np.median(groove.width_mm)).mean() > KNOWN_SHARE for groove in grooves
+        (cKDTree(groove.root).query(path)[0] < np.median(groove.width_mm)).mean() > KNOWN_FRACTION for groove in grooves
     )

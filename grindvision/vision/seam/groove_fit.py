@@ -34,30 +34,30 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A groove's width is at least so many point spacings.
-LEAST_POINTS_ACROSS = 4.0
+MIN_POINTS_ACROSS = 4.0
 #: Walls fall at least so steeply: depth over half the width (11 degrees).
-LEAST_WALL_SLOPE = 0.2
-#: Where less than this share of the length shows the surface on both sides, walls must be this steep: the outline of a
-#: gently bent surface looks like one wall.
-LEAST_BOTH_SIDES, ONE_SIDED_WALL_SLOPE = 0.3, 0.5
+MIN_WALL_SLOPE = 0.2
+#: Where less than this fraction of the length shows the surface on both sides, walls must be this steep: the outline of
+#: a gently bent surface looks like one wall.
+MIN_BOTH_SIDES, ONE_SIDED_WALL_SLOPE = 0.3, 0.5
 #: A groove is at least so many widths long.
-LEAST_LENGTH = 2.0
-#: A station belongs to the groove while its depth is above this share of the median depth.
-LEAST_DEPTH_SHARE = 0.5
-#: Between two parts of a groove its edges may go on above a tack weld, where this share of the depth is left.
-TACKED_DEPTH_SHARE = 0.2
-#: A section's misfit is at most so many times the usual one; below the first share of the depth it is always good
+MIN_LENGTH = 2.0
+#: A station belongs to the groove while its depth is above this fraction of the median depth.
+MIN_DEPTH_FRACTION = 0.5
+#: Between two parts of a groove its edges may go on above a tack weld, where this fraction of the depth is left.
+TACKED_DEPTH_FRACTION = 0.2
+#: A section's misfit is at most so many times the usual one; below the first fraction of the depth it is always good
 #: enough, above the second never.
-WORST_FIT_RATIO, LEAST_FIT_SHARE, WORST_FIT_SHARE = 3.0, 0.03, 0.12
-#: The surface beside the groove stays so near to the curve that was laid through it: share of the depth, and slope.
-WORST_LEVEL_SHARE, WORST_TILT = 0.6, 0.4
-#: The root lies so near to the middle, in shares of the width, and a section's width so near to the groove's.
-WORST_SKEW, WORST_WIDTH_RATIO = 0.3, 1.6
+MAX_FIT_RATIO, MIN_FIT_FRACTION, MAX_FIT_FRACTION = 3.0, 0.03, 0.12
+#: The surface beside the groove stays so near to the curve that was laid through it: fraction of the depth, and slope.
+MAX_LEVEL_FRACTION, MAX_TILT = 0.6, 0.4
+#: The root lies so near to the middle, in fractions of the width, and a section's width so near to the groove's.
+MAX_SKEW, MAX_WIDTH_RATIO = 0.3, 1.6
 #: The root of a groove with one upright wall lies below its edge.
-WORST_SKEW_OF_BEVEL = 0.5
-#: Floors (half of them) and roundings tried, in shares of the width, on so many sections at most; a shape is taken if
-#: what it misses is less than this share of what a simpler one does.
-CORNER_SHARES, MOST_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 32, 0.85
+MAX_SKEW_OF_BEVEL = 0.5
+#: Floors (half of them) and roundings tried, in fractions of the width, on so many sections at most; a shape is taken
+#: if what it misses is less than this fraction of what a simpler one does.
+CORNER_FRACTIONS, MAX_SECTIONS_TRIED, CLEARLY_BETTER = (0.08, 0.16, 0.24, 0.32, 0.4), 32, 0.85
 #: Passes of fitting and prolonging at most.
 _PASSES = 10
 
@@ -75,7 +75,7 @@ def fit_groove(
     It ends where it meets one of the ``known`` grooves: the arms of a crossing are grooves of their own, however narrow
     the groove between them.
     """
-    width = 1.3 * max(valley.width_mm, LEAST_POINTS_ACROSS * spacing_mm)
+    width = 1.3 * max(valley.width_mm, MIN_POINTS_ACROSS * spacing_mm)
     depth = valley.depth_mm
     noise = 0.05 * depth
     step = _step(width, spacing_mm)
@@ -93,12 +93,12 @@ def fit_groove(
         strip = lay_straight(cloud, T_field_cloud, curve, reach, 2.2 * depth, 1.2 * depth)
         sections = gather_sections(strip, len(curve), curve.step_mm, reach, width / 24, width / 5)
         start = np.tile([0, 0, 0, depth, -width / 2, 0, width / 2], (len(curve), 1))
-        spread = np.array([depth / 2, 0.5, 0.3 * depth / reach**2, depth, width / 2, width / 3, width / 2])
+        prior_sigma = np.array([depth / 2, 0.5, 0.3 * depth / reach**2, depth, width / 2, width / 3, width / 2])
         if number in (1, 2):
-            corners = _corners(sections, start, spread, width, noise)
-        fit = fit_profiles(sections, start, spread, corners, noise)
+            corners = _corners(sections, start, prior_sigma, width, noise)
+        fit = fit_profiles(sections, start, prior_sigma, corners, noise)
         free = ~_taken(move_points(inverse(T_field_cloud), curve.stations), known)
-        skew = WORST_SKEW_OF_BEVEL if bevel else WORST_SKEW
+        skew = MAX_SKEW_OF_BEVEL if bevel else MAX_SKEW
         inside = _stations_inside(fit, sections, width, depth, (1.0 if number > 1 else 2.5, skew), free)
         if inside is None:
             return None
@@ -116,8 +116,10 @@ def fit_groove(
         curve = _recentred(curve, fit, first, last, width, _step(width, spacing_mm))
         turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
-    groove = groove_lines(cloud, T_field_cloud, curve, strip, sections, fit, (first, last), spread, noise, spacing_mm)
-    if groove is None or (groove.edges_seen < LEAST_BOTH_SIDES and depth < ONE_SIDED_WALL_SLOPE * width / 2):
+    groove = groove_lines(
+        cloud, T_field_cloud, curve, strip, sections, fit, (first, last), prior_sigma, noise, spacing_mm
+    )
+    if groove is None or (groove.edges_seen < MIN_BOTH_SIDES and depth < ONE_SIDED_WALL_SLOPE * width / 2):
         return None
     return groove
 
@@ -140,24 +142,20 @@ def _step(width: float, spacing: float) -> float:
 
 
 def _is_groove(width: float, depth: float, length: float, spacing: float) -> bool:
-    return (
-        width >= LEAST_POINTS_ACROSS * spacing
-        and depth >= LEAST_WALL_SLOPE * width / 2
-        and length >= LEAST_LENGTH * width
-    )
+    return width >= MIN_POINTS_ACROSS * spacing and depth >= MIN_WALL_SLOPE * width / 2 and length >= MIN_LENGTH * width
 
 
-def _corners(sections: Sections, start: Floats, spread: Floats, width: float, noise: float) -> Corners:
+def _corners(sections: Sections, start: Floats, prior_sigma: Floats, width: float, noise: float) -> Corners:
     """Floor and rounding that fit the sections best; a sharp V unless something else clearly helps.
 
     What a wrong shape misses lies at the same place in all sections; their residuals are averaged there, so that noise
     hides no rounding.
     """
-    pick = np.linspace(0, len(start) - 1, min(MOST_SECTIONS_TRIED, len(start))).astype(int)
+    pick = np.linspace(0, len(start) - 1, min(MAX_SECTIONS_TRIED, len(start))).astype(int)
     sample = Sections(sections.across[pick], sections.up[pick], sections.weight[pick], sections.bin_mm)
 
     def misfit(corners: Corners) -> float:
-        fit = fit_profiles(sample, start[pick], spread, corners, noise)
+        fit = fit_profiles(sample, start[pick], prior_sigma, corners, noise)
         off = sample.up - profile_height(sample.across, fit.parameters, corners)
         usual = fit.noise_mm < 2 * np.median(fit.noise_mm)
         weight = np.where(usual[:, None], sample.weight, 0)
@@ -167,8 +165,8 @@ def _corners(sections: Sections, start: Floats, spread: Floats, width: float, no
     chosen = Corners(SHARP * width, SHARP * width)
     best = misfit(chosen)
     for corner in ("floor_mm", "root_mm", "edge_mm"):
-        for share in CORNER_SHARES:
-            trial = replace(chosen, **{corner: share * width})
+        for fraction in CORNER_FRACTIONS:
+            trial = replace(chosen, **{corner: fraction * width})
             value = misfit(trial)
             if value > best:
                 break
@@ -191,17 +189,17 @@ def _stations_inside(
     between = (sections.across > theta[:, LEFT, None]) & (sections.across < theta[:, RIGHT, None])
     points = np.where(between, sections.weight, 0).sum(axis=1)
     seen = points > 0.25 * np.median(points[points > 0]) if (points > 0).any() else points > 0
-    deep, tacked = (theta[:, DEPTH] > share * depth for share in (LEAST_DEPTH_SHARE, TACKED_DEPTH_SHARE))
+    deep, tacked = (theta[:, DEPTH] > fraction * depth for fraction in (MIN_DEPTH_FRACTION, TACKED_DEPTH_FRACTION))
     usual = float(np.median(fit.noise_mm[seen & deep])) if (seen & deep).any() else 0.0
-    worst = np.clip(WORST_FIT_RATIO * usual, LEAST_FIT_SHARE * depth, WORST_FIT_SHARE * depth)
+    worst = np.clip(MAX_FIT_RATIO * usual, MIN_FIT_FRACTION * depth, MAX_FIT_FRACTION * depth)
     fitting = fit.noise_mm < worst
-    sure = fit.deviation[:, DEPTH] < LEAST_DEPTH_SHARE * theta[:, DEPTH]
-    near = (np.abs(theta[:, LEVEL]) < looseness * WORST_LEVEL_SHARE * depth) & (
-        np.abs(theta[:, TILT]) < looseness * WORST_TILT
+    sure = fit.deviation[:, DEPTH] < MIN_DEPTH_FRACTION * theta[:, DEPTH]
+    near = (np.abs(theta[:, LEVEL]) < looseness * MAX_LEVEL_FRACTION * depth) & (
+        np.abs(theta[:, TILT]) < looseness * MAX_TILT
     )
     place = (theta[:, ROOT] - theta[:, LEFT]) / widths
     shapely = (np.abs(place - 0.5) < worst_skew) & (
-        np.abs(np.log(widths / width)) < looseness * np.log(WORST_WIDTH_RATIO)
+        np.abs(np.log(widths / width)) < looseness * np.log(MAX_WIDTH_RATIO)
     )
     edged = seen & sure & near & shapely & free
     shown = edged & deep & fitting
@@ -229,11 +227,11 @@ def _recentred(curve: SeamCurve, fit: ProfileFit, first: int, last: int, width: 
         weight = weights_of(fit.deviation[first:last, parameter])
         return smooth_along(values, weight, length, step)
 
-    shift = smooth((theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT, width / 2)
+    displacement = smooth((theta[:, LEFT] + theta[:, RIGHT]) / 2, ROOT, width / 2)
     level, tilt = smooth(theta[:, LEVEL], LEVEL, width / 2), smooth(theta[:, TILT], TILT, width)
     here = slice(first, last)
     across, up = curve.across[here], curve.up[here]
-    stations = curve.stations[here] + shift[:, None] * across + (level + tilt * shift)[:, None] * up
+    stations = curve.stations[here] + displacement[:, None] * across + (level + tilt * displacement)[:, None] * up
     # Continued with its bend before it is smoothed: a smoothed line would end straight, above a pipe's groove.
     raw = build_curve(stations, up - tilt[:, None] * across, step)
     longer = extended(raw, 2 * width, 2 * width, base_mm=3 * width)

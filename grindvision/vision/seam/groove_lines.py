@@ -31,17 +31,17 @@ from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smo
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: A section may differ from its neighbours by this share of what the first fit left free.
-NEIGHBOUR_SHARE = 0.1
+#: A section may differ from its neighbours by this fraction of what the first fit left free.
+NEIGHBOUR_FRACTION = 0.1
 #: A groove is at least so many standard deviations of its points' scatter deep.
-LEAST_DEPTH_IN_SCATTER = 3.0
-#: Points so near to the root, in shares of the width, tell where the groove ends; there they are half as dense.
-CORE_SHARE, COVERED_SHARE = 0.08, 0.5
-#: Fewer than so many points in two stations tell nothing; then this share of the width to both sides is looked at.
-LEAST_IN_WINDOW, WINDOW_SHARE = 8, 0.35
+MIN_DEPTH_IN_SCATTER = 3.0
+#: Points so near to the root, in fractions of the width, tell where the groove ends; there they are half as dense.
+CORE_FRACTION, COVERED_FRACTION = 0.08, 0.5
+#: Fewer than so many points in two stations tell nothing; then this fraction of the width to both sides is looked at.
+MIN_IN_WINDOW, WINDOW_FRACTION = 8, 0.35
 #: The two ends of a ring point the same way within this angle.
 RING_TURN_RAD = np.radians(50)
-#: Rounding of a sharp corner, in shares of the width: enough for derivatives, too little to see.
+#: Rounding of a sharp corner, in fractions of the width: enough for derivatives, too little to see.
 SHARP = 0.004
 
 
@@ -54,7 +54,8 @@ class DetectedGroove:
     line where the walls meet (of a blunt groove the depth-weighted middle), ``left`` and ``right`` the edges, and unit
     ``normals`` of the surface around, all (S, 3).
     ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
-    standard deviation of the root across the seam. ``edges_seen`` is the share of stations with surface on both sides.
+    standard deviation of the root across the seam. ``edges_seen`` is the fraction of stations with surface on both
+    sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
     A ``closed`` groove is a ring: its last station is followed by its first. ``floor_share`` is how much of the width a
     flat or rounded root takes.
@@ -99,23 +100,23 @@ def groove_lines(
     sections: Sections,
     fit: ProfileFit,
     run: tuple[int, int],
-    spread: Floats,
+    prior_sigma: Floats,
     noise: float,
     spacing_mm: float,
 ) -> DetectedGroove | None:
     """Lines and points of a fitted groove, in the cloud's frame.
 
-    The sections are fitted once more, each to its own points alone, but held to what its neighbours say within a share
-    of ``spread`` (7,), the first fit's prior: where only one wall is seen, the other comes from along the seam. What
-    they say is then smoothed as their own noise asks for.
+    The sections are fitted once more, each to its own points alone, but held to what its neighbours say within a
+    fraction of ``prior_sigma`` (7,), the first fit's prior: where only one wall is seen, the other comes from along the
+    seam. What they say is then smoothed as their own noise asks for.
 
     None where the points scatter about the section too much for its depth.
     """
     first, last = run
     step, at = curve.step_mm, np.arange(len(curve)) * curve.step_mm
-    theta = _with_neighbours(strip, sections, fit, run, spread, step, noise)
+    theta = _with_neighbours(strip, sections, fit, run, prior_sigma, step, noise)
     width = float(np.median((theta.parameters[:, RIGHT] - theta.parameters[:, LEFT])[first:last]))
-    core = np.abs(strip.across - np.interp(strip.along, at, theta.parameters[:, ROOT])) < CORE_SHARE * width
+    core = np.abs(strip.across - np.interp(strip.along, at, theta.parameters[:, ROOT])) < CORE_FRACTION * width
     covered = _covered(strip.along[core], first, last, step, width)
     lines, heights, smooth = _smooth_lines(theta, sections, covered, step)
 
@@ -128,7 +129,7 @@ def groove_lines(
     inside = between & ends
     sections_here = np.stack([along(smooth[:, parameter]) for parameter in range(7)], axis=1)[inside]
     off = strip.up[inside] - profile_height(strip.across[inside, None], sections_here, fit.corners)[:, 0]
-    if len(off) == 0 or depth < LEAST_DEPTH_IN_SCATTER * MAD_TO_STD * np.median(np.abs(off)):
+    if len(off) == 0 or depth < MIN_DEPTH_IN_SCATTER * MAD_TO_STD * np.median(np.abs(off)):
         return None
     floor = along(smooth[:, LEVEL]) + along(smooth[:, TILT]) * strip.across - 1.3 * depth - 4 * noise
     members = np.sort(strip.index[inside & (strip.up > floor)])
@@ -191,7 +192,7 @@ def _with_neighbours(
     sections: Sections,
     fit: ProfileFit,
     run: tuple[int, int],
-    spread: Floats,
+    prior_sigma: Floats,
     step: float,
     noise: float,
 ) -> ProfileFit:
@@ -206,7 +207,7 @@ def _with_neighbours(
         usual[:, parameter] = smooth_along(theta[:, parameter], weight, width, step, robust=True)
     reach = sections.bin_mm * (sections.weight.shape[1] // 2)
     own = gather_sections(strip, len(theta), step, reach, sections.bin_mm, 0.0)
-    return fit_profiles(own, usual, NEIGHBOUR_SHARE * spread, fit.corners, noise)
+    return fit_profiles(own, usual, NEIGHBOUR_FRACTION * prior_sigma, fit.corners, noise)
 
 
 def _smooth_lines(
@@ -265,8 +266,8 @@ def _covered(along: Floats, first: int, last: int, step: float, width: float) ->
     to tell, over a longer window. Usual is what stations a little farther in hold; the density may well fall slowly.
     """
     counts = np.bincount(np.maximum(along / step + 0.5, 0).astype(int), minlength=last + 1)
-    dense = 2 * np.median(counts[first:last]) >= LEAST_IN_WINDOW
-    size = 2 if dense else 2 * int(WINDOW_SHARE * width / step) + 1
+    dense = 2 * np.median(counts[first:last]) >= MIN_IN_WINDOW
+    size = 2 if dense else 2 * int(WINDOW_FRACTION * width / step) + 1
     inward = max(int(width / step), 3)
 
     def thin_stations(counts: Integers, first: int) -> int:
@@ -274,7 +275,7 @@ def _covered(along: Floats, first: int, last: int, step: float, width: float) ->
         thin = 0
         while last - first - thin > 2 * inward:
             farther_in = windows[first + thin + size - 1 :][:inward]
-            if windows[first + thin] >= COVERED_SHARE * np.median(farther_in):
+            if windows[first + thin] >= COVERED_FRACTION * np.median(farther_in):
                 break
             thin += 1
         return thin
@@ -295,7 +296,7 @@ def _reach_of_ends(along: Floats, first: int, last: int, step: float, spacing_mm
 
 
 def _both_sides_share(sections: Sections, theta: Floats, first: int, last: int) -> float:
-    """Share of the stations ``first`` to ``last`` with points of the surface on both sides of the groove."""
+    """Fraction of the stations ``first`` to ``last`` with points of the surface on both sides of the groove."""
     middle, width = (theta[:, LEFT] + theta[:, RIGHT]) / 2, theta[:, RIGHT] - theta[:, LEFT]
     outer = np.abs(sections.across - middle[:, None])
     beside = (outer > width[:, None] / 2) & (outer < 0.75 * width[:, None]) & (sections.weight > 0)

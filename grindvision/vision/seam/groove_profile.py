@@ -49,7 +49,7 @@ class Corners:
 class ProfileFit:
     """``parameters`` (S, 7): level, tilt, bend, depth, and u of left edge, root and right edge, mm.
 
-    ``deviation`` (S, 7) are their standard deviations, ``noise_mm`` (S,) is the spread of the profile about the fit.
+    ``deviation`` (S, 7) are their standard deviations, ``noise_mm`` (S,) is the scatter of the profile about the fit.
     """
 
     parameters: Floats
@@ -71,7 +71,9 @@ def gather_sections(
     return Sections(sums[1] / safe, sums[2] / safe, np.where(weight > 1e-3, weight, 0.0), bin_mm)
 
 
-def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Corners, noise_mm: float) -> ProfileFit:
+def fit_profiles(
+    sections: Sections, start: Floats, prior_sigma: Floats, corners: Corners, noise_mm: float
+) -> ProfileFit:
     """Fit the groove's cross-section at every station.
 
     Damped Gauss-Newton with Huber weights and a weak normal prior that keeps what the profile does not show (an edge
@@ -80,11 +82,11 @@ def fit_profiles(sections: Sections, start: Floats, spread: Floats, corners: Cor
     Args:
         sections: the mean profiles.
         start: (S, 7) first parameters, the centre of the prior.
-        spread: (7,) or (S, 7) standard deviations of the prior.
+        prior_sigma: (7,) or (S, 7) standard deviations of the prior.
         corners: rounding and floor of the groove.
         noise_mm: expected deviation of one bin, which scales data against prior.
     """
-    prior = 1 / np.broadcast_to(spread, start.shape) ** 2
+    prior = 1 / np.broadcast_to(prior_sigma, start.shape) ** 2
     filled = sections.weight[sections.weight > 0]
     weight = np.minimum(sections.weight, 4.0 * float(np.median(filled)) if len(filled) else 0.0)
     weight = weight / max(float(weight.max()), 1e-9) / noise_mm**2

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 #: The area that points cover is counted in cells that hold at least so many of them.
-LEAST_POINTS_PER_CELL = 5
+MIN_POINTS_PER_CELL = 5
 
 
 @by_content
@@ -78,7 +78,7 @@ def spacing_of(points: ArrayLike, T_field_cloud: ArrayLike) -> float:
     cell = 2 * float(max(high[0] - low[0], high[1] - low[1])) / 200
     field = rasterise(points, T_field_cloud, cell, (low, high))
     cells = int(field.filled.sum())
-    while cells * LEAST_POINTS_PER_CELL > len(points):
+    while cells * MIN_POINTS_PER_CELL > len(points):
         field = coarser(field, 2)
         cells = int(field.filled.sum())
     return float(np.sqrt(cells * field.cell_mm**2 / len(points)))
@@ -150,24 +150,24 @@ def _weighted_means(values: NDArray[np.float32], kernel: NDArray[np.float32]) ->
     rows, columns = values.shape
     half = len(kernel) // 2
     means = np.empty((rows, columns), np.float32)
-    totals, shares = np.empty(columns + 2 * half, np.float32), np.empty(columns + 2 * half, np.float32)
-    inner_totals, inner_shares = totals[half : half + columns], shares[half : half + columns]
-    total, share = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    totals, fractions = np.empty(columns + 2 * half, np.float32), np.empty(columns + 2 * half, np.float32)
+    inner_totals, inner_fractions = totals[half : half + columns], fractions[half : half + columns]
+    total, fraction = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for i in range(rows):
-        totals[:], shares[:], total[:], share[:] = 0, 0, 0, 0
+        totals[:], fractions[:], total[:], fraction[:] = 0, 0, 0, 0
         for k in range(max(i - half, 0), min(i + half + 1, rows)):
             here, weight = values[k], kernel[k - i + half]
             for j in range(columns):
                 known = here[j] == here[j]
                 inner_totals[j] += weight * here[j] if known else np.float32(0)
-                inner_shares[j] += weight if known else np.float32(0)
+                inner_fractions[j] += weight if known else np.float32(0)
         for k in range(len(kernel)):
-            shifted_totals, shifted_shares = totals[k : k + columns], shares[k : k + columns]
+            shifted_totals, shifted_fractions = totals[k : k + columns], fractions[k : k + columns]
             for j in range(columns):
                 total[j] += kernel[k] * shifted_totals[j]
-                share[j] += kernel[k] * shifted_shares[j]
+                fraction[j] += kernel[k] * shifted_fractions[j]
         for j in range(columns):
-            means[i, j] = total[j] / share[j] if values[i, j] == values[i, j] else np.float32(np.nan)
+            means[i, j] = total[j] / fraction[j] if values[i, j] == values[i, j] else np.float32(np.nan)
     return means
 
 

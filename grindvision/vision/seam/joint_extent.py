@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 #: Part of the reach over which a corner is looked at closely.
 CLOSE = 0.4
-#: Leg lengths end where less than this share of the usual number of points lies on the face.
+#: Leg lengths end where less than this fraction of the usual number of points lies on the face.
 LEG_COVERAGE = 0.3
 
 
@@ -45,10 +45,12 @@ def leg_lengths(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, 
     return legs
 
 
-def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, shift: Floats, scale: Scale) -> float:
+def rounding_mm(
+    points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, displacement: Floats, scale: Scale
+) -> float:
     """Radius about the root, mm, within which the points miss both faces: a bead, a rounded or a blurred corner."""
     _, station, offset = nearest_stations(points, curve, scale.far)
-    offset = offset - shift[station, :1] * curve.across[station] - shift[station, 1:] * curve.up[station]
+    offset = offset - displacement[station, :1] * curve.across[station] - displacement[station, 1:] * curve.up[station]
     outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
     height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
     slope = sides.coefficients[:, station, 1]
@@ -67,7 +69,7 @@ def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, 
 
 
 def sharpness(points: Floats, curve: SeamCurve, faces: Faces, turn_rad: float, scale: Scale) -> float:
-    """Share of the turn that the faces show when only what is near the root is fitted."""
+    """Fraction of the turn that the faces show when only what is near the root is fitted."""
     near = replace(scale, cell=CLOSE * scale.cell, rounding=0.0)
     if near.far < 3 * near.near:
         near = replace(near, cell=3 * near.near / 4.5)

@@ -27,7 +27,7 @@ Flags = NDArray[np.bool_]
 MIN_PASSES, MAX_PASSES = 4, 14
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
 MIN_SHOWN_TURN_RAD, MIN_SHOWN_DEVIATIONS = np.radians(4.0), 2.0
-#: Share of the usual number of points near the seam below which a station does not show a face.
+#: Fraction of the usual number of points near the seam below which a station does not show a face.
 MIN_COVERAGE = 0.15
 
 
@@ -40,7 +40,7 @@ class JointFit:
     half-way between the faces' normals, which are ``faces.normal``; ``turn_rad`` (S,) the angle between these, with
     ``turn_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
-    seam, ``members`` (K,) the points on them, ``sharpness`` the share of the turn that is there close to the root
+    seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
     already: 1 for two faces, less for a surface that bends.
     """
 
@@ -95,8 +95,8 @@ def fit_joint(
         fitted = fit_faces(points, curve, faces, scale)
         if fitted is None:
             return None
-        shift, slopes = intersections(curve, faces, fitted)
-        shown = _shown(fitted, shift, scale) & _turned(faces, slopes, fitted, concave)
+        displacement, slopes = intersections(curve, faces, fitted)
+        shown = _shown(fitted, displacement, scale) & _turned(faces, slopes, fitted, concave)
         run = _main_run(shown, int(12 * scale.cell / step))
         if run is None:
             return None
@@ -106,13 +106,13 @@ def fit_joint(
         last = number == MAX_PASSES - 1 or (number >= MIN_PASSES and not growing)
         growing = abs(grown) > 0.5 * scale.cell
         if number == 1:
-            scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, shift, scale))
+            scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, displacement, scale))
         curve, faces, fitted = _cut(curve, faces, fitted, here)
-        shift, slopes, shown = shift[here], slopes[:, here], shown[here]
+        displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
-            return _result(points, curve, faces, fitted, (shift, slopes, shown, closed), scale)
+            return _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale)
         weight = np.where(shown, 1.0, 0.0)
-        lateral = [smooth_along(shift[:, k], weight, scale.cell, step, robust=True) for k in range(2)]
+        lateral = [smooth_along(displacement[:, k], weight, scale.cell, step, robust=True) for k in range(2)]
         stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
         turned = [smooth_along(root_normals(faces, slopes)[k], weight, 2 * scale.cell, step) for k in range(2)]
         curve = _smooth(curve, scale.cell / 2, stations, unit_vectors(turned[0] + turned[1]))
@@ -121,15 +121,15 @@ def fit_joint(
     return None
 
 
-def _shown(sides: FaceFit, shift: Floats, scale: Scale) -> Flags:
+def _shown(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
     """Stations (S,) at which both faces have points near the seam that fit them, and meet near the curve."""
-    good = np.ones(len(shift), dtype=bool)
+    good = np.ones(len(displacement), dtype=bool)
     reach = 2 * max(int(scale.cell / max(1.5 * scale.spacing, scale.cell / 2)), 1) + 1
     for side in range(2):
         counts = sides.coverage[side]
         usual = np.median(counts[counts > 0]) if (counts > 0).any() else 1.0
         good &= closed_runs(counts > MIN_COVERAGE * usual, reach) & (sides.purity[side] > 0.5)
-    return good & (np.linalg.norm(shift, axis=1) < 2.0 * scale.cell)
+    return good & (np.linalg.norm(displacement, axis=1) < 2.0 * scale.cell)
 
 
 def _turned(faces: Faces, slopes: Floats, sides: FaceFit, concave: bool) -> Flags:
@@ -148,7 +148,7 @@ def _result(
     fitted: tuple[Floats, Floats, Flags, bool],
     scale: Scale,
 ) -> JointFit:
-    shift, slopes, shown, closed = fitted
+    displacement, slopes, shown, closed = fitted
     normals = root_normals(faces, slopes)
     turn = np.arccos(np.clip(np.einsum("si,si->s", normals[0], normals[1]), -1, 1))
     sine = np.maximum(np.sin(turn), 0.05)
@@ -156,10 +156,10 @@ def _result(
     turn_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
     weight = np.where(shown, 1 / np.maximum(level, 1e-9) ** 2, 0.0)
     weight = np.minimum(weight, 4 * np.median(weight[shown]))
-    smooth = np.stack([smooth_to_noise(shift[:, k], weight, curve.step_mm)[0] for k in range(2)], axis=1)
+    smooth = np.stack([smooth_to_noise(displacement[:, k], weight, curve.step_mm)[0] for k in range(2)], axis=1)
     smooth = smooth_along(smooth, np.ones(len(smooth)), scale.cell, curve.step_mm)
     # What neighbouring stations scatter about the smooth line, against what the fits promise.
-    off = np.linalg.norm(shift - smooth, axis=1)[shown] / np.sqrt(2)
+    off = np.linalg.norm(displacement - smooth, axis=1)[shown] / np.sqrt(2)
     inflation = max(1.0, float(MAD_TO_STD * np.median(off) / max(np.median(level[shown]), 1e-9)))
     root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)

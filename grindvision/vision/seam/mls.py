@@ -109,11 +109,11 @@ def _plane(kept: NDArray[np.float32], near: int) -> tuple[float, float, float, f
         yy += dy * dy
         yz += dy * dz
         zz += dz * dz
-    share = 1.0 / near
-    mx, my, mz = sx * share, sy * share, sz * share
+    fraction = 1.0 / near
+    mx, my, mz = sx * fraction, sy * fraction, sz * fraction
     _, nx, ny, nz = smallest_eigenpair(
-        xx * share - mx * mx, xy * share - mx * my, xz * share - mx * mz,
-        yy * share - my * my, yz * share - my * mz, zz * share - mz * mz,
+        xx * fraction - mx * mx, xy * fraction - mx * my, xz * fraction - mx * mz,
+        yy * fraction - my * my, yz * fraction - my * mz, zz * fraction - mz * mz,
     )  # fmt: skip
     return mx, my, mz, nx, ny, nz
 

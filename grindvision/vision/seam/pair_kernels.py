@@ -192,8 +192,8 @@ def _crease(
     to_second = ((sums[1, 1:4] - points[i]) * b).sum()
     x = (to_first - cosine * to_second) / (1 - cosine**2)
     y = (to_second - cosine * to_first) / (1 - cosine**2)
-    shift = x * a + y * b
-    if (shift**2).sum() > (1.6 * size) ** 2:
+    displacement = x * a + y * b
+    if (displacement**2).sum() > (1.6 * size) ** 2:
         return False
     off = total = 0.0
     for j in near:
@@ -205,7 +205,7 @@ def _crease(
         total += weights[j]
     if off / total > (0.2 * size) ** 2:
         return False
-    values[i, 0:3], values[i, 3:6] = points[i] + shift, along
+    values[i, 0:3], values[i, 3:6] = points[i] + displacement, along
     values[i, 6:9], values[i, 9:12] = a, b
     values[i, 12] = np.arccos(min(max(cosine, -1.0), 1.0))
     values[i, 13] = 1.0 if over_first > 0 else -1.0

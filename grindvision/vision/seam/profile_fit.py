@@ -36,7 +36,7 @@ class Profile(NamedTuple):
 def fit_stations(
     across: Floats, up: Floats, weight: Floats, start: Floats, prior: Floats, shape: Floats, noise: float, gap: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Parameters (S, 7) of S stations, their standard deviations (S, 7) and the spread of the profile about them (S,).
+    """Parameters (S, 7) of S stations, their standard deviations (S, 7) and the scatter of the profile about them (S,).
 
     Args:
         across: places (S, M) of M bins, mm.
@@ -49,16 +49,16 @@ def fit_stations(
         gap: least distance of edge and root, mm.
     """
     stations, bins = across.shape
-    fitted, deviation, spread = start.copy(), np.empty((stations, 7)), np.empty(stations)
-    slopes, off, share = np.ones((7, bins)), np.empty(bins), np.empty(bins)
+    fitted, deviation, scatter = start.copy(), np.empty((stations, 7)), np.empty(stations)
+    slopes, off, fraction = np.ones((7, bins)), np.empty(bins), np.empty(bins)
     normal, trial_normal, factor = np.empty((7, 7)), np.empty((7, 7)), np.zeros((7, 7))
     force, trial_force, trial = np.empty(7), np.empty(7), np.empty(7)
     for s in range(stations):
         theta = fitted[s]
         slopes[1] = across[s]
         profile = Profile(across[s], up[s], weight[s])
-        cost = _compare(profile, theta, shape, noise, slopes, off, share)
-        cost += _equations(slopes, off, share, theta, start[s], prior[s], normal, force)
+        cost = _compare(profile, theta, shape, noise, slopes, off, fraction)
+        cost += _equations(slopes, off, fraction, theta, start[s], prior[s], normal, force)
         damping = 1e-2
         for _ in range(ROUNDS):
             _factorise(normal, 1 + damping, factor)
@@ -67,8 +67,8 @@ def fit_stations(
             trial[4] = min(trial[4], trial[5] - gap)
             trial[6] = max(trial[6], trial[5] + gap)
             trial[3] = max(trial[3], 0.0)
-            trial_cost = _compare(profile, trial, shape, noise, slopes, off, share)
-            trial_cost += _equations(slopes, off, share, trial, start[s], prior[s], trial_normal, trial_force)
+            trial_cost = _compare(profile, trial, shape, noise, slopes, off, fraction)
+            trial_cost += _equations(slopes, off, fraction, trial, start[s], prior[s], trial_normal, trial_force)
             settled = damping < 1 and abs(cost - trial_cost) <= SETTLED * cost
             if trial_cost < cost:
                 theta[:] = trial
@@ -85,14 +85,14 @@ def fit_stations(
             trial_force[k] = 1.0
             _solve(factor, trial_force, trial)
             deviation[s, k] = np.sqrt(max(trial[k], 0.0))
-        _compare(profile, theta, shape, noise, slopes, off, share)
-        spread[s] = np.sqrt((share * off * off).sum() / max(share.sum(), 1e-12))
-    return fitted, deviation, spread
+        _compare(profile, theta, shape, noise, slopes, off, fraction)
+        scatter[s] = np.sqrt((fraction * off * off).sum() / max(fraction.sum(), 1e-12))
+    return fitted, deviation, scatter
 
 
 @njit(cache=True, nogil=True, forceinline=True, fastmath={"reassoc", "contract", "nsz"})
 def _compare(
-    profile: Profile, theta: Floats, shape: Floats, noise: float, slopes: Floats, off: Floats, share: Floats
+    profile: Profile, theta: Floats, shape: Floats, noise: float, slopes: Floats, off: Floats, fraction: Floats
 ) -> float:
     """Huber cost of a profile; writes rows 2 to 6 of ``slopes`` (7, M), and (M,) residuals and their weights."""
     across, up, weight = profile
@@ -115,7 +115,7 @@ def _compare(
         size = abs(miss)
         cost += weight[m] * (miss * miss if size < limit else limit * (2 * size - limit))
         off[m] = miss
-        share[m] = weight[m] / max(size / limit, 1.0)
+        fraction[m] = weight[m] / max(size / limit, 1.0)
         slopes[2, m] = arch
         slopes[3, m] = climb - fall
         slopes[4, m] = bent * to_right - depth * (fall - (1 + to_left / at_left) / 2) * a
@@ -128,7 +128,7 @@ def _compare(
 def _equations(
     slopes: Floats,
     off: Floats,
-    share: Floats,
+    fraction: Floats,
     theta: Floats,
     start: Floats,
     prior: Floats,
@@ -140,14 +140,14 @@ def _equations(
     for j in range(7):
         pull = 0.0
         for m in range(len(off)):
-            pull += share[m] * slopes[j, m] * off[m]
+            pull += fraction[m] * slopes[j, m] * off[m]
         away = theta[j] - start[j]
         force[j] = pull - prior[j] * away
         cost += prior[j] * away * away
         for k in range(j + 1):
             total = 0.0
             for m in range(len(off)):
-                total += share[m] * slopes[j, m] * slopes[k, m]
+                total += fraction[m] * slopes[j, m] * slopes[k, m]
             normal[j, k] = total
         normal[j, j] += prior[j]
     return cost

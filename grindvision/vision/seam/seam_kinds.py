@@ -32,19 +32,19 @@ Flags = NDArray[np.bool_]
 
 #: A corner turns by at least this angle, and by so many standard deviations of it; an outside corner by more.
 MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
-#: Where less than this share of the turn is there close to the root, a bend is ruled out by such a turn only.
+#: Where less than this fraction of the turn is there close to the root, a bend is ruled out by such a turn only.
 MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
-#: The root is known within this share of a cell, and the faces scatter by at most this share of it more than the scan.
+#: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
 MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.2, 0.08
 #: Faces are seen for so many cells at least; an outside corner, which every edge of a body is, for so many.
 MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
 #: A wall up to this height may be the edge of a plate that lies on another.
 MAX_PLATE_MM = 25.0
-#: A step stands out by so many deviations; two levels closer than this share of the gap are the two sides of a butt.
+#: A step stands out by so many deviations; two levels closer than this fraction of the gap are the two sides of a butt.
 MIN_STEP_DEVIATIONS = 8.0
 #: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
 MAX_HI_LO_MM, MAX_BUTT_TURN_RAD = 4.0, np.radians(10.0)
-#: A gap shows something below it at this share of its stations, or is wider than so many spacings.
+#: A gap shows something below it at this fraction of its stations, or is wider than so many spacings.
 MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
 #: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
 U_FLOOR, BEVEL_SKEW = 0.3, 0.22

@@ -16,7 +16,7 @@ from grindvision.vision.seam.joints import Seam
 Floats = NDArray[np.float64]
 
 #: As the paper prints them (Section IV): the descent stops at a smaller change of cost, or after so many steps.
-COST_CHANGE, MOST_STEPS = 1e-4, 1000
+COST_CHANGE, MAX_STEPS = 1e-4, 1000
 #: As the first author's early code has them: first step, and its shortening when the cost rises.
 FIRST_STEP, SHORTENING = 0.01, 0.8
 
@@ -96,7 +96,7 @@ def descended_median(points: ArrayLike) -> Floats:
     points = np.asarray(points, dtype=float)
     place, step = points.mean(axis=0), FIRST_STEP
     cost = np.linalg.norm(points - place, axis=1).sum()
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         away = place - points
         lengths = np.linalg.norm(away, axis=1)
         trial = place - step * (away / np.maximum(lengths, 1e-9)[:, None]).sum(axis=0)
@@ -114,7 +114,7 @@ def weiszfeld_median(points: ArrayLike, tolerance_mm: float = 1e-6) -> Floats:
     """Geometric median (3,) of points (N, 3) by Weiszfeld's iteration: the mean weighted by inverse distance."""
     points = np.asarray(points, dtype=float)
     place = points.mean(axis=0)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         weights = 1 / np.maximum(np.linalg.norm(points - place, axis=1), 1e-9)
         moved = weights @ points / weights.sum()
         if np.linalg.norm(moved - place) < tolerance_mm:

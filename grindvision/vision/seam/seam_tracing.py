@@ -15,7 +15,7 @@ Integers = NDArray[np.int64]
 #: Places of one seam are at most so many cells apart, and their directions differ by less than this.
 LINK_CELLS, LINK_RAD = 2.2, np.radians(35.0)
 #: What lies farther than this from a traced curve, in cells, is a branch or the other half of a ring.
-BESIDE_CELLS = 2.0
+MAX_LATERAL_CELLS = 2.0
 #: Curves are joined where the way between their ends is short and in line: a clamp or a tack lies between them.
 JOIN_RAD = np.radians(25.0)
 #: So many of the longest pieces are looked at.
@@ -47,7 +47,7 @@ def trace_curves(places: Floats, along: Floats, size_mm: float, join_mm: float, 
             if len(curve) >= 2:
                 curves.append(curve)
             away = cKDTree(_dense(curve, size_mm / 4)).query(places[members])[0]
-            done.append(members[away < BESIDE_CELLS * size_mm])
+            done.append(members[away < MAX_LATERAL_CELLS * size_mm])
         left = np.setdiff1d(left, np.concatenate(done))
     pieces = sorted((curve for curve in curves if _length(curve) > size_mm), key=lambda curve: -_length(curve))
     joined = _joined(pieces[:MAX_PIECES], join_mm, 1.5 * size_mm)

@@ -20,7 +20,7 @@ from grindvision.loose_settings import settings_in
 from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
-from grindvision.vision.seam.groove_diagnostics import LEAST_BOTH_SIDES, LEAST_WALL_SHARE, wall_share
+from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, wall_share
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
@@ -31,11 +31,11 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: A valley with an upright wall is a groove if it is so many widths, and this share of the diagonal, long.
-BEVEL_ASPECT, BEVEL_SHARE = 6.0, 0.15
-#: Seams shorter than this share of the longest are named with the less certain ones.
+#: A valley with an upright wall is a groove if it is so many widths, and this fraction of the diagonal, long.
+BEVEL_ASPECT, BEVEL_FRACTION = 6.0, 0.15
+#: Seams shorter than this fraction of the longest are named with the less certain ones.
 SHORT = 0.2
-#: A groove whose surface is seen on both sides along less than this share may be a corner between two bodies.
+#: A groove whose surface is seen on both sides along less than this fraction may be a corner between two bodies.
 CORNER_RATHER = 0.5
 
 
@@ -114,7 +114,7 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
         sure = [
             groove
             for groove in _sorted_grooves(bevelled, cloud, valid)[0]
-            if groove.length_mm > max(BEVEL_ASPECT * float(np.median(groove.width_mm)), BEVEL_SHARE * diagonal)
+            if groove.length_mm > max(BEVEL_ASPECT * float(np.median(groove.width_mm)), BEVEL_FRACTION * diagonal)
         ]
         grooves = bevelled if sure else grooves
     groove_seams = [groove_seam(groove) for groove in sure]
@@ -156,7 +156,7 @@ def _sorted_grooves(
     number = np.cumsum(valid) - 1
     for groove in found.grooves if found is not None else ():
         mine = replace(groove, members=number[groove.members])
-        is_sure = groove.edges_seen >= LEAST_BOTH_SIDES and wall_share(mine, cloud) >= LEAST_WALL_SHARE
+        is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_share(mine, cloud) >= MIN_WALL_FRACTION
         (sure if is_sure else doubtful).append(mine)
     return sure, doubtful
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Points of a wall lie between these shares of the step's height.
+#: Points of a wall lie between these fractions of the step's height.
 WALL_HEIGHTS = 0.2, 0.8
 #: With so many points on the wall per station its place is taken from them, otherwise from where the surfaces end.
 MIN_WALL_POINTS = 0.5
@@ -154,10 +154,10 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
     gap_tolerance = 4 * noise + 0.02 * scale.cell
     if height_mm is not None:
         on_upper = v > upper - 0.2 * height
-        share = (v - lower) / np.maximum(upper - lower, 1e-6)
-        on_lower = share < WALL_HEIGHTS[0]
-        on_upper &= share > WALL_HEIGHTS[1]
-        between = (share > WALL_HEIGHTS[0]) & (share < WALL_HEIGHTS[1]) & (np.abs(u) < 1.2 * scale.cell)
+        fraction = (v - lower) / np.maximum(upper - lower, 1e-6)
+        on_lower = fraction < WALL_HEIGHTS[0]
+        on_upper &= fraction > WALL_HEIGHTS[1]
+        between = (fraction > WALL_HEIGHTS[0]) & (fraction < WALL_HEIGHTS[1]) & (np.abs(u) < 1.2 * scale.cell)
     else:
         middle = u < 0
         on_upper, on_lower = middle & (np.abs(v - upper) < gap_tolerance), ~middle & (np.abs(v - lower) < gap_tolerance)

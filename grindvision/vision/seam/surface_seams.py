@@ -28,18 +28,18 @@ from grindvision.vision.surface.surfels import Surfels, build_surfels
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Edge of the surfels: so many spacings, so many times the noise, and at least this share of the cloud's diagonal.
-CELL_SPACINGS, CELL_NOISE, CELL_SHARE = 4.0, 6.0, 1 / 150
+#: Edge of the surfels: so many spacings, so many times the noise, and at least this fraction of the cloud's diagonal.
+CELL_SPACINGS, CELL_NOISE, CELL_FRACTION = 4.0, 6.0, 1 / 150
 #: Where the finest cells show no seam, coarser ones are tried.
 COARSER = (1.0, 1.7)
-#: Corners of this share of the diagonal, all together, are enough.
+#: Corners of this fraction of the diagonal, all together, are enough.
 ENOUGH = 0.1
 #: A rough line is at least so many cells long; interruptions up to this length are bridged.
 TRACED_CELLS, JOIN_CELLS = 3.5, 10.0
 #: The highest step that is taken for a plate's edge, mm.
 MAX_STEP_MM = 25.0
-#: A seam that runs along a known one for this share is that one again.
-KNOWN_SHARE = 0.5
+#: A seam that runs along a known one for this fraction is that one again.
+KNOWN_FRACTION = 0.5
 
 
 def surface_seams(
@@ -53,7 +53,7 @@ def surface_seams(
     """Corners, steps and gaps beside the known grooves."""
     diagonal = diagonal_mm(cloud)
     noise = float(np.median(build_surfels(cloud, CELL_SPACINGS * spacing).noise_mm)) if not known else 0.0
-    base = max(CELL_SPACINGS * spacing, CELL_NOISE * noise, CELL_SHARE * diagonal)
+    base = max(CELL_SPACINGS * spacing, CELL_NOISE * noise, CELL_FRACTION * diagonal)
     found: list[Seam] = []
     for factor in COARSER:
         cell = factor * base
@@ -79,7 +79,7 @@ def runs_along(path: Floats, seams: list[Seam], reach: float | None = None) -> b
         near = reach
         if seam.groove is not None:
             near = max(0.75 * float(np.median(seam.groove.width_mm)), reach or 0.0)
-        if (cKDTree(seam.root).query(path)[0] < (near or 3.0)).mean() > KNOWN_SHARE:
+        if (cKDTree(seam.root).query(path)[0] < (near or 3.0)).mean() > KNOWN_FRACTION:
             return True
     return False
 

@@ -21,28 +21,28 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Gaussian before the closing, as a share of the disc's radius.
-SMOOTHING_SHARE = 0.13
+#: Gaussian before the closing, as a fraction of the disc's radius.
+SMOOTHING_FRACTION = 0.13
 #: Cells of the raster per radius of the disc, where the cloud is dense enough: as many as the smallest disc, of eight
 #: spacings, has cells of 1.2 spacings.
 CELLS_PER_RADIUS = 6.6
-#: A valley ends where its depth falls below this share of the deepest place.
-FLANK_SHARE = 0.3
+#: A valley ends where its depth falls below this fraction of the deepest place.
+FLANK_FRACTION = 0.3
 #: A groove is at least so deep for its width, and so long for its width; waviness of a plate is far flatter.
-LEAST_RELIEF, LEAST_ASPECT = 0.12, 1.5
+MIN_RELIEF, MIN_ASPECT = 0.12, 1.5
 #: The middle of a valley is at least so many cells from its rim: what is narrower belongs to a finer raster.
-LEAST_INNER_CELLS = 2.0
+MIN_INNER_CELLS = 2.0
 #: A valley must stand out of the residue that noise and waviness leave everywhere.
-LEAST_CONTRAST = 2.5
-#: The smallest disc tried, as a share of the part's smaller side; a dense cloud would allow far smaller ones.
-LEAST_RADIUS_SHARE = 0.012
-#: Valleys below this share of the largest one's volume are left out.
-LEAST_LOOKED_AT = 0.01
+MIN_CONTRAST = 2.5
+#: The smallest disc tried, as a fraction of the part's smaller side; a dense cloud would allow far smaller ones.
+MIN_RADIUS_FRACTION = 0.012
+#: Valleys below this fraction of the largest one's volume are left out.
+MIN_LOOKED_AT = 0.01
 #: Valleys looked at, deepest first, in one height field.
-MOST_VALLEYS = 6
-#: Cells of a valley farther from its path than this share of its width belong to a branch.
-ARM_SHARE = 0.75
-#: Share of the greatest volume at which a smaller disc is preferred to a larger one.
+MAX_VALLEYS = 6
+#: Cells of a valley farther from its path than this fraction of its width belong to a branch.
+ARM_FRACTION = 0.75
+#: Fraction of the greatest volume at which a smaller disc is preferred to a larger one.
 ENOUGH_VOLUME = 0.8
 
 
@@ -117,7 +117,7 @@ def find_valleys(
 
 def _valleys(filling: _Filling) -> list[Valley]:
     """Valleys of one filling and their arms, largest volume first, with their paths."""
-    least, valleys = LEAST_LOOKED_AT * filling.volume_mm3, []
+    least, valleys = MIN_LOOKED_AT * filling.volume_mm3, []
     for piece in filling.pieces:
         if piece.volume_mm3 >= least:
             valleys.append(_valley(piece, filling))
@@ -129,7 +129,7 @@ def _valleys(filling: _Filling) -> list[Valley]:
 def _fill(finest: HeightField, radius_mm: float) -> _Filling:
     """What a closing with a disc fills, on the finest raster that it needs."""
     field = coarser(finest, max(round(radius_mm / (CELLS_PER_RADIUS * finest.cell_mm)), 1))
-    heights = smoothed(field, SMOOTHING_SHARE * radius_mm)
+    heights = smoothed(field, SMOOTHING_FRACTION * radius_mm)
     surface = closed(heights, radius_mm / field.cell_mm)
     depth = np.where(field.filled, surface - heights, np.float32(0))
     return _Filling(field, surface, depth, _pieces(depth, field))
@@ -137,7 +137,7 @@ def _fill(finest: HeightField, radius_mm: float) -> _Filling:
 
 def _radii(span_mm: float, spacing_mm: float) -> list[float]:
     """Radii of the discs for a part whose smaller side is ``span_mm``."""
-    radii = [max(8 * spacing_mm, LEAST_RADIUS_SHARE * span_mm)]
+    radii = [max(8 * spacing_mm, MIN_RADIUS_FRACTION * span_mm)]
     while 2 * radii[-1] < span_mm / 3:
         radii.append(2 * radii[-1])
     return radii
@@ -145,34 +145,34 @@ def _radii(span_mm: float, spacing_mm: float) -> list[float]:
 
 def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
     """Cut the depth map into valleys: take the deepest, mark what belongs to it, go on with the rest."""
-    least = LEAST_RELIEF * (2 * LEAST_INNER_CELLS - 1) * field.cell_mm
-    level = max(LEAST_CONTRAST * float(np.median(depth[field.filled])), least)
+    least = MIN_RELIEF * (2 * MIN_INNER_CELLS - 1) * field.cell_mm
+    level = max(MIN_CONTRAST * float(np.median(depth[field.filled])), least)
     left, pieces = depth, []
-    for _ in range(MOST_VALLEYS):
+    for _ in range(MAX_VALLEYS):
         peak = float(left.max())
         if peak <= level:
             break
-        names, volumes, boxes = connected_parts(left, np.float32(FLANK_SHARE * peak))
-        for at in np.argsort(-volumes, kind="stable")[:MOST_VALLEYS]:
+        names, volumes, boxes = connected_parts(left, np.float32(FLANK_FRACTION * peak))
+        for at in np.argsort(-volumes, kind="stable")[:MAX_VALLEYS]:
             box = slice(boxes[at, 0], boxes[at, 1]), slice(boxes[at, 2], boxes[at, 3])
             piece = _piece(names[box] == at + 1, box, depth, field)
             if piece is not None:
                 pieces.append(piece)
-        left = cleared(left, FLANK_SHARE * peak)
+        left = cleared(left, FLANK_FRACTION * peak)
     return pieces
 
 
 def _piece(inside: Flags, box: tuple[slice, slice], depth: Floats, field: HeightField) -> _Piece | None:
     """Measure the piece that is ``inside`` a ``box`` of the field; nothing where it is no long narrow valley."""
     area = int(inside.sum())
-    if area < LEAST_ASPECT * (2 * LEAST_INNER_CELLS - 1) ** 2:
+    if area < MIN_ASPECT * (2 * MIN_INNER_CELLS - 1) ** 2:
         return None
     inner = inner_radius(inside)
-    if inner < LEAST_INNER_CELLS or area < LEAST_ASPECT * (2 * inner - 1) ** 2:
+    if inner < MIN_INNER_CELLS or area < MIN_ASPECT * (2 * inner - 1) ** 2:
         return None
     width, depths = (2 * inner - 1) * field.cell_mm, depth[box][inside]
     deep = float(np.percentile(depths, 75))
-    if deep < LEAST_RELIEF * width:
+    if deep < MIN_RELIEF * width:
         return None
     cells = np.zeros(depth.shape, dtype=bool)
     cells[box] = inside
@@ -185,10 +185,10 @@ def _arms(piece: _Piece, path: Floats, filling: _Filling) -> list[_Piece]:
     cells = np.argwhere(piece.cells)
     away = cKDTree((path[:, :2] / field.cell_mm).astype(int)).query(cells)[0] * field.cell_mm
     aside = np.zeros(piece.cells.shape)
-    aside[tuple(cells[away > ARM_SHARE * piece.width_mm].T)] = 1.0
+    aside[tuple(cells[away > ARM_FRACTION * piece.width_mm].T)] = 1.0
     names, areas, boxes = connected_parts(aside, 0.0)
     arms = []
-    for at in np.flatnonzero(areas >= LEAST_ASPECT * (2 * LEAST_INNER_CELLS) ** 2):
+    for at in np.flatnonzero(areas >= MIN_ASPECT * (2 * MIN_INNER_CELLS) ** 2):
         box = slice(boxes[at, 0], boxes[at, 1]), slice(boxes[at, 2], boxes[at, 3])
         arms.append(_piece(names[box] == at + 1, box, depth, field))
     return [arm for arm in arms if arm is not None]
@@ -203,7 +203,7 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
     index[rows, columns] = np.arange(len(rows))
     nodes = np.column_stack([field.positions(rows, columns), filling.surface[rows, columns]])
     local = maximum_filter(np.where(piece.cells, depth, 0), size=2 * int(piece.width_mm / field.cell_mm) + 1)
-    share = (depth / np.maximum(local, 1e-9))[rows, columns]
+    fraction = (depth / np.maximum(local, 1e-9))[rows, columns]
     starts, ends = [], []
     for step_row, step_column in ((0, 1), (1, 0), (1, 1), (1, -1)):
         to_rows, to_columns = rows + step_row, columns + step_column
@@ -214,7 +214,7 @@ def _valley(piece: _Piece, filling: _Filling) -> Valley:
         ends.append(there[there >= 0])
     start, end = np.concatenate(starts), np.concatenate(ends)
     length = np.linalg.norm(nodes[start] - nodes[end], axis=1)
-    cost = length / (0.02 + ((share[start] + share[end]) / 2) ** 2)
+    cost = length / (0.02 + ((fraction[start] + fraction[end]) / 2) ** 2)
 
     lengths = edge_graph(start, end, length, len(nodes))
     first = farthest(walking_distances(lengths, 0))

@@ -13,8 +13,8 @@ from grindvision.vision.surface.surfels import build_surfels
 
 Floats = NDArray[np.float64]
 
-#: Edge of the surfels that give the viewing direction, as a share of the cloud's diagonal.
-SURFEL_SHARE = 1 / 60
+#: Edge of the surfels that give the viewing direction, as a fraction of the cloud's diagonal.
+SURFEL_FRACTION = 1 / 60
 
 #: A scanner at the origin is believed when the mean normal points towards it within this angle.
 CAMERA_CONE_RAD = np.radians(45)
@@ -23,10 +23,10 @@ CAMERA_CONE_RAD = np.radians(45)
 CAMERA_FIELD_RAD = np.radians(40)
 
 #: Length of the mean of all normals, each turned to the origin, below which the origin is no camera.
-LEAST_AGREEMENT = 0.6
+MIN_AGREEMENT = 0.6
 
-#: Normals within this angle belong to one main direction, if they are at least this share of all.
-MODE_CONE_RAD, MODE_SHARE = np.radians(45), 0.12
+#: Normals within this angle belong to one main direction, if they are at least this fraction of all.
+MODE_CONE_RAD, MODE_FRACTION = np.radians(45), 0.12
 
 
 def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> list[list[Floats]]:
@@ -45,7 +45,7 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     if not diagonal > 0:
         raise DegenerateError(f"all {len(points)} points lie in one spot; they span no surface")
     T_own_cloud = _own_frame(points)
-    surfels = build_surfels(_moved(points, T_own_cloud), diagonal * SURFEL_SHARE)
+    surfels = build_surfels(_moved(points, T_own_cloud), diagonal * SURFEL_FRACTION)
     if not surfels.normals.any():
         raise DegenerateError(f"the {len(points)} points span no surface: they lie along lines; scan an area")
     centre = surfels.points.mean(axis=0)
@@ -53,7 +53,7 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     normals = _facing(surfels.normals, towards - surfels.points)
     mean = normals.mean(axis=0)
     gap = towards - centre
-    believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > LEAST_AGREEMENT
+    believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > MIN_AGREEMENT
     off_axis = vector_angle(T_own_cloud[:3, 2], gap)
     believed = believed and min(off_axis, np.pi - off_axis) < CAMERA_FIELD_RAD
     if viewpoint_mm is not None or (believed and vector_angle(mean, gap) < CAMERA_CONE_RAD):
@@ -83,7 +83,7 @@ def _dominant(normals: Floats) -> Floats:
 def _main_directions(normals: Floats) -> list[Floats]:
     """Unit directions around which the normals gather: the mean normal led to the nearest peak, then what is left."""
     left, directions = normals[np.linalg.norm(normals, axis=1) > 0.5], []
-    least = MODE_SHARE * len(left)
+    least = MODE_FRACTION * len(left)
     while len(left) > max(least, 3):
         up, near = left.mean(axis=0), np.zeros(len(left), dtype=bool)
         for _ in range(20):
