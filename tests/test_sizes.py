@@ -1,0 +1,66 @@
+"""Files, functions and parameter lists stay small; the exceptions are listed here and may only shrink."""
+
+import pytest
+
+from tests.test_kernels import functions, parameters_of, sources
+
+MAX_FILE_LINES, MAX_FUNCTION_LINES, MAX_PARAMETERS = 350, 70, 8
+
+#: Files over ``MAX_FILE_LINES``, and how long they may be.
+LONG_FILES = {
+    "grindvision/calibration/accurate.py": 410,
+    "grindvision/calibration/model.py": 374,
+    "grindvision/vision/change/ridge_path.py": 381,
+}
+#: Functions over ``MAX_FUNCTION_LINES``.
+LONG_FUNCTIONS = {
+    "grindvision/calibration/accurate.py:calibrate": 95,
+    "grindvision/calibration/measurement_files.py:read_measurements": 81,
+    "grindvision/cli/calibrate.py:run": 80,
+    "grindvision/vision/registration/plane_icp.py:_plane_icp": 73,
+    "grindvision/vision/seam/gfh.py:_angles": 72,
+}
+#: Functions of more than ``MAX_PARAMETERS`` parameters.
+MANY_PARAMETERS = {
+    "grindvision/vision/registration/global_registration.py:_sampled": 10,
+    "grindvision/vision/registration/icp.py:registration_result": 9,
+    "grindvision/vision/seam/groove_lines.py:groove_lines": 10,
+}
+
+
+def lines_of_files():
+    return {name: text.count("\n") for name, text in sources()}
+
+
+def lines_of_functions():
+    return {f"{name}:{node.name}": node.end_lineno - node.lineno + 1 for name, node in functions()}
+
+
+def parameters_of_functions():
+    return {f"{name}:{node.name}": len(parameters_of(node)) for name, node in functions()}
+
+
+@pytest.mark.parametrize(
+    ("measure", "limit", "exceptions"),
+    [
+        (lines_of_files, MAX_FILE_LINES, LONG_FILES),
+        (lines_of_functions, MAX_FUNCTION_LINES, LONG_FUNCTIONS),
+        (parameters_of_functions, MAX_PARAMETERS, MANY_PARAMETERS),
+    ],
+)
+def test_what_is_too_long_is_listed_and_does_not_grow(measure, limit, exceptions):
+    too_long = {name: size for name, size in measure().items() if size > exceptions.get(name, limit)}
+    assert too_long == {}, "cut it where its subject changes"
+
+
+@pytest.mark.parametrize(
+    ("measure", "limit", "exceptions"),
+    [
+        (lines_of_files, MAX_FILE_LINES, LONG_FILES),
+        (lines_of_functions, MAX_FUNCTION_LINES, LONG_FUNCTIONS),
+        (parameters_of_functions, MAX_PARAMETERS, MANY_PARAMETERS),
+    ],
+)
+def test_an_exception_that_is_not_needed_any_more_is_taken_off(measure, limit, exceptions):
+    sizes = measure()
+    assert [name for name in exceptions if sizes.get(name, 0) <= limit] == []
