@@ -3,9 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from grindvision import arm as arms
 from grindvision import geometry, paper
+from grindvision.arm.inverse import _log_slope
 from grindvision.arm.model import pinocchio_model, urdf_model
 from grindvision.errors import FileError, GrindvisionError, InputError, NotRigidError, UnitError
 
@@ -180,3 +182,12 @@ def test_bad_arguments_are_refused(nominal, rng, tmp_path):
         arms.nearest_angles(nominal, np.eye(4), rng, starts=0)
     with pytest.raises(ValueError, match="read-only"):
         nominal.table[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-7, 0.01, 1.0, 2.0, 3.0])
+def test_the_slope_of_a_rotation_vector_is_its_finite_difference(rng, angle_rad):
+    vector = angle_rad * np.array([2.0, -1.0, 2.0]) / 3
+    for small in 1e-5 * np.eye(3):
+        ahead, behind = (Rotation.from_rotvec(sign * small) * Rotation.from_rotvec(vector) for sign in (1.0, -1.0))
+        slope = (ahead.as_rotvec() - behind.as_rotvec()) / 2
+        np.testing.assert_allclose(_log_slope(vector) @ small, slope, atol=1e-13)

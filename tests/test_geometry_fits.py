@@ -223,3 +223,16 @@ def test_data_that_do_not_determine_the_answer_are_refused(case):
     call, error, reason = REFUSED[case]
     with pytest.raises(error, match=reason):
         call()
+
+
+@pytest.mark.parametrize("size_mm", [1e-3, 1.0, 1e3, 1e6])
+def test_a_thin_needle_is_fitted_and_a_line_refused_at_every_scale(rng, size_mm):
+    along = np.linspace(-1, 1, 12)
+    needle = size_mm * np.column_stack([along, 1e-4 * rng.normal(size=12), 1e-4 * rng.normal(size=12)])
+    turn = geometry.rigid(geometry.random_rotation(rng), size_mm * rng.normal(size=3))
+    fit = geometry.fit_rigid(needle, geometry.move_points(turn, needle))
+    np.testing.assert_allclose(fit.residuals_mm, 0, atol=1e-12 * size_mm)
+    np.testing.assert_allclose(fit.T_target_source[:3, :3], turn[:3, :3], atol=1e-9)
+    line = size_mm * np.outer(along, rng.normal(size=3))
+    with pytest.raises(DegenerateError, match="one line"):
+        geometry.fit_rigid(line, geometry.move_points(turn, line))

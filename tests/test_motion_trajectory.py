@@ -154,3 +154,11 @@ def test_bad_way_points_are_named():
         Trajectory(np.stack([np.eye(4), 2 * np.eye(4)]))
     with pytest.raises(InputError, match=r"\(4, 4\)"):
         Trajectory(np.eye(4))
+
+
+@pytest.mark.parametrize("name", ["work_angle_rad", "travel_angle_rad"])
+def test_a_tool_tilted_by_a_right_angle_is_refused_and_one_by_little_less_is_not(name):
+    assert getattr(ToolTrajectoryOptions(**{name: -1.57}), name) == -1.57
+    for angle in (1.571, -1.571, np.nan):
+        with pytest.raises(InputError, match=f"{name.split('_')[0]} angle"):
+            ToolTrajectoryOptions(**{name: angle})
