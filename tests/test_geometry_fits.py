@@ -236,3 +236,18 @@ def test_a_thin_needle_is_fitted_and_a_line_refused_at_every_scale(rng, size_mm)
     line = size_mm * np.outer(along, rng.normal(size=3))
     with pytest.raises(DegenerateError, match="one line"):
         geometry.fit_rigid(line, geometry.move_points(turn, line))
+
+
+def test_a_line_is_refused_however_far_away_and_a_plane_is_fitted(rng):
+    """Far away, rounding alone gives a line some width."""
+    line = np.outer(np.linspace(-1, 1, 12), [2.0, -1.0, 0.5]) + [1e9, 0.0, 0.0]
+    with pytest.raises(DegenerateError, match="source points lie on one line"):
+        geometry.fit_rigid(line, rng.normal(size=(12, 3)))
+    for there in (line, 1e-3 * line, 1e-9 * line):
+        with pytest.raises(DegenerateError, match="one line"):
+            geometry.fit_plane(there)
+    plane = np.column_stack([rng.uniform(-50, 50, (12, 2)), np.zeros(12)])
+    turn = geometry.rigid(geometry.random_rotation(rng), [10.0, 20.0, 30.0])
+    found = geometry.fit_rigid(plane, geometry.move_points(turn, plane))
+    np.testing.assert_allclose(found.T_target_source, turn, atol=1e-9)
+    assert abs(geometry.fit_plane(plane).normal[2]) == pytest.approx(1.0)
