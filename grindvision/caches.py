@@ -10,6 +10,8 @@ import os
 import stat
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from grindvision import __version__
@@ -70,6 +72,44 @@ def made(folder: Path) -> bool:
             return is_ours(folder)
     except OSError:
         return False
+
+
+@contextmanager
+def matplotlib_has_a_folder() -> Iterator[None]:
+    """Inside the block, in which Matplotlib is imported, it finds a folder for its settings and its list of fonts.
+
+    Where its own may not be written to (a service without a home) it would say so on stderr, and seek all fonts anew
+    every time; it gets one of ``cache_folders`` then. Where it has one, or the user names one, nothing is changed.
+    """
+    name = "MPLCONFIGDIR"
+    if name in os.environ or "matplotlib" in sys.modules or all(made(folder) for folder in _matplotlib_folders()):
+        yield
+        return
+    folder = next((folder for folder in cache_folders("matplotlib") if made(folder)), None)
+    if folder is None:
+        yield
+        return
+    os.environ[name] = str(folder)
+    try:
+        yield
+        if matplotlib := sys.modules.get("matplotlib"):
+            matplotlib.get_configdir(), matplotlib.get_cachedir()  # it keeps both from now on
+    finally:
+        del os.environ[name]
+
+
+def _matplotlib_folders() -> list[Path]:
+    """Where Matplotlib puts its settings and its list of fonts of itself; a folder that cannot be where it has none."""
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path(os.devnull)
+    if sys.platform in ("win32", "darwin"):
+        return [home / ".matplotlib"]
+    return [
+        Path(os.environ.get(variable) or home / folder) / "matplotlib"
+        for variable, folder in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache"))
+    ]
 
 
 def _user_cache() -> Path | None:

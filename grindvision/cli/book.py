@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
+
+from grindvision.cli.streams import complain, say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,29 +43,29 @@ def _build(options: argparse.Namespace) -> int:
     figures = FAST_FIGURES if options.fast else FIGURES
     chosen(options.only)
     page = ReadingPage(BUILD / "reading", titles(chapters()))
-    print(f"Read while it is being built: {page.address}", flush=True)
+    say(f"Read while it is being built: {page.address}")
     with Progress(page, options.fast) as progress:
         outcomes = rebuild(
             options.only, fast=options.fast, watcher=progress, redraw=options.redraw, force=options.force
         )
     if not options.fast:
-        print("", *told([file for outcome in outcomes for file in outcome.published]), sep="\n")
+        say("\n".join(["", *told([file for outcome in outcomes for file in outcome.published])]))
 
     table = scoreboard(figures)
     shown = table[["item", "quantity", "unit", "paper", "rebuilt", "tolerance", "verdict"]]
-    print("\n" + shown.to_string(index=False, na_rep="", float_format="{:.4g}".format, max_colwidth=60))
-    print(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}")
+    say("\n" + shown.to_string(index=False, na_rep="", float_format="{:.4g}".format, max_colwidth=60))
+    say(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}", str(figures))
     site = None
     if options.site:
         from grindvision_book.site import build_site
 
         site = build_site(BUILD / "fast" if options.fast else BUILD, figures)
-        print(f"HTML book: {site}")
+        say(f"HTML book: {site}", str(figures))
     page.ended(site)
 
     failed = [outcome for outcome in outcomes if outcome.failure]
     for outcome in failed:
-        print(f"grindvision book: {outcome}", file=sys.stderr)
+        complain(f"grindvision book: {outcome}")
     if options.record_seconds:
         record_seconds({o.chapter[:2]: o.seconds for o in outcomes if not o.failure}, options.fast)
     return 1 if failed else 0

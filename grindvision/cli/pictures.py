@@ -6,13 +6,15 @@ import warnings
 from collections.abc import Callable
 from importlib import import_module
 
+from grindvision.caches import matplotlib_has_a_folder
 from grindvision.errors import GrindvisionWarning, MissingExtraError
 
 
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
     try:
-        return import_module(f"grindvision.cli.{module}").draw
+        with matplotlib_has_a_folder():
+            return import_module(f"grindvision.cli.{module}").draw
     except MissingExtraError as error:
         missing = str(error)
 
