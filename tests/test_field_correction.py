@@ -1,5 +1,6 @@
 """Field calibration on flat plates: what it takes off, what it cannot know, its file, and its smoothing spline."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from grindvision.vision.depth_calibration.grid_smoothing import (
     smooth_grid,
     spline_matrix,
 )
+from grindvision.vision.depth_calibration.plate_checks import plate_doubts
 from grindvision_book.chapter_11.waypoints import PLATES_MM, depth_left, plate_scans
 
 STEPS_MM = np.array([0.0, 20.0, 40.0, 60.0])
@@ -275,3 +277,32 @@ def test_a_field_over_the_measured_place_is_the_one_over_the_true_place_where_th
     along = u * normal[0] + v * normal[1] + normal[2]
     wanted = (0.01 * (distance - 300) + 2 * u - v) / (1 + 0.01 * along)
     assert_allclose(found.error_grid_mm[:, :, 2:-2], wanted[:, :, 2:-2], atol=1e-5)
+
+
+def steadily_tilted(deg_per_scan):
+    normals = [[np.sin(a), 0.0, np.cos(a)] for a in np.radians(deg_per_scan * np.arange(4))]
+    return [shown(FIRST_MM + step, waves, normal=normal) for step, normal in zip(STEPS_MM, normals, strict=True)]
+
+
+def test_plates_that_contradict_their_steps_are_named_with_the_size():
+    good = plates(waves)
+    wrong = STEPS_MM + [0, 0, 1, 0]
+    for clouds, steps, first, said in (
+        (steadily_tilted(0.15), STEPS_MM, FIRST_MM, r"plates 1 and 4 are tilted against each other by 0\.4\d deg"),
+        (good, wrong, FIRST_MM, r"plate 3 stands (1|0\.9\d?|1\.1) mm nearer than its step, 41 mm"),
+        (good[::-1], wrong[::-1], FIRST_MM, r"plate 2 stands"),
+        (good, STEPS_MM * 16 / 15, None, r"0\.93\d mm for each mm of the steps"),
+        (good, STEPS_MM, FIRST_MM + 10, r"430 lies (10\.\d|9\.\d) mm behind the first plate's points"),
+    ):
+        (doubt,) = plate_doubts(clouds, steps, first)
+        assert re.search(said, doubt), doubt
+    with pytest.raises(InputError, match="is tilted by"):
+        calibrate_field(steadily_tilted(0.8), STEPS_MM)
+
+
+@pytest.mark.parametrize("serial", range(3))
+def test_good_plates_raise_no_doubt(serial):
+    camera, rng = cell.DepthCamera(serial=serial + 20), np.random.default_rng(serial)
+    for stands in (PLATES_MM, PLATES_MM[:4]):
+        assert plate_doubts(plate_scans(camera, rng, stands), stands - stands[0], stands[0]) == ()
+    assert plate_doubts(plates(waves)[:1], [0.0], FIRST_MM) == ()

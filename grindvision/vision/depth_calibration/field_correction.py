@@ -13,11 +13,12 @@ from scipy.ndimage import map_coordinates
 from grindvision.errors import FileError, InputError
 from grindvision.files import write_whole
 from grindvision.formats.arrays import read_arrays
-from grindvision.geometry import check_points, fit_plane, vector_angle
+from grindvision.geometry import check_points
 from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.depth_calibration.grid_smoothing import fitting_stiffness, on_axes, smooth_grid, spline_matrix
+from grindvision.vision.depth_calibration.plate_checks import checked_distance, parallel_planes, without_strays
 
 Floats = NDArray[np.float64]
 
@@ -27,15 +28,6 @@ POINTS_PER_BIN = 9
 
 #: The result's grid is finer than the bins: then straight lines between its nodes follow the spline.
 FINER = 2
-
-#: Points farther from their plate than this many standard deviations are not of the plate.
-STRAY = 6.0
-
-#: Points that are plenty for a plane.
-PLENTY = 20_000
-
-#: Plates may differ from what is said of them by this much, mm and share: more is a mistake, not a scanner's error.
-DOUBT_MM, DOUBT_FRACTION, DOUBT_TILT_DEG = 2.0, 0.05, 2.0
 
 LARGEST_NODES = 20_000_000
 
@@ -220,9 +212,7 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     if len(plates) == 0 or steps.shape != (len(plates),) or len(np.unique(steps)) != len(steps):
         raise InputError(f"{len(plates)} plates need as many different steps, got {steps.tolist()}")
     order = np.argsort(steps)
-    clouds = [
-        _without_strays(check_points(plates[k], f"points of plate {k + 1}", min_points=100), k + 1) for k in order
-    ]
+    clouds = [without_strays(check_points(plates[k], f"points of plate {k + 1}", min_points=100), k + 1) for k in order]
     slopes = [cloud[:, :2] / cloud[:, 2:] for cloud in clouds]
     low = np.min([part.min(axis=0) for part in slopes], axis=0)
     high = np.max([part.max(axis=0) for part in slopes], axis=0)
@@ -232,10 +222,8 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     bins = [_bin_means(part, cloud[:, 2], low, high, shape) for part, cloud in zip(slopes, clouds, strict=True)]
     counts, rays, depths = (np.stack(parts) for parts in zip(*bins, strict=True))
     seen = counts > 0
-    normal, offset = _parallel_planes(rays * depths[..., None], seen, steps[order], order)
-    first = offset if distance_mm is None else float(distance_mm)
-    if not abs(first - offset) <= DOUBT_MM + DOUBT_FRACTION * offset:
-        raise InputError(f"distance_mm is {first:g}, but the first plate's points lie {offset:.1f} mm away; check both")
+    normal, offset = parallel_planes(rays * depths[..., None], seen, steps[order], order)
+    first = checked_distance(distance_mm, offset)
     at = first + steps[order]
     error = np.where(seen, depths - at[:, None] / np.where(seen, rays @ normal, 1.0), 0.0)
     middle = float(at.mean())
@@ -253,19 +241,6 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     )
 
 
-def _without_strays(cloud: Floats, number: int) -> Floats:
-    """A plate's points (N, 3) but those far off their plane and those at the origin, pixels without a depth."""
-    cloud = cloud[cloud.any(axis=1)]
-    if (cloud[:, 2] <= 0).any():
-        raise InputError(f"plate {number} has points behind the scanner (z <= 0); give them in the scanner frame")
-    for _ in range(2):
-        distance = fit_plane(cloud[:: max(len(cloud) // PLENTY, 1)]).distance(cloud)
-        distance -= np.median(distance)
-        spread = 1.4826 * np.median(np.abs(distance))
-        cloud = cloud[np.abs(distance) <= STRAY * spread + 1e-9]
-    return cloud
-
-
 def _bin_means(
     slopes: Floats, depths: Floats, low: Floats, high: Floats, shape: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
@@ -277,32 +252,6 @@ def _bin_means(
         np.bincount(flat, part, minlength=bins) / np.maximum(counts, 1) for part in (slopes[:, 0], slopes[:, 1], depths)
     )
     return counts, np.column_stack([u, v, np.ones(bins)]), z
-
-
-def _parallel_planes(
-    means: Floats, seen: NDArray[np.bool_], steps: Floats, order: NDArray[np.int64]
-) -> tuple[Floats, float]:
-    """Common normal (3,), z above 0, and distance in mm at step 0 of plates with bin means (K, B, 3)."""
-    normals = []
-    for cloud, mask in zip(means, seen, strict=True):
-        plane = fit_plane(cloud[mask])
-        normals.append(plane.normal * np.sign(plane.normal[2]))
-    normal = normals[0]
-    for _ in range(3):
-        plane = fit_plane(np.concatenate([m[s] - step * normal for m, s, step in zip(means, seen, steps, strict=True)]))
-        normal = plane.normal * np.sign(plane.normal[2])
-    offset = float(plane.offset_mm * np.sign(plane.normal[2]))
-    for k, cloud, mask, step, own in zip(order, means, seen, steps, normals, strict=True):
-        stands = float((cloud[mask] @ normal).mean())
-        if abs(stands - offset - step) > DOUBT_MM + DOUBT_FRACTION * np.abs(steps).max():
-            raise InputError(
-                f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step {step:g};"
-                " check the order, sign and unit of the steps"
-            )
-        tilt = np.degrees(vector_angle(own, normal))
-        if tilt > DOUBT_TILT_DEG:
-            raise InputError(f"plate {k + 1} is tilted by {tilt:.1f} deg against the others; only shift it")
-    return normal, offset
 
 
 def _at_measured(true: FieldCorrection, fine: Sequence[Floats]) -> FieldCorrection:
