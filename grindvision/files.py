@@ -138,16 +138,17 @@ def read_table(
             where a number belongs; the message names file, row and column.
     """
     path = Path(path)
-    table = _text_table(path)
-    for ours, theirs in (columns or {}).items():
-        parts = _summands(theirs, table.columns)
-        missing = [part for _, part in parts if part not in table.columns]
+    given = _text_table(path)
+    table = given.copy()
+    for ours, theirs in (columns or {}).items():  # from the file's own columns, whatever another name was given before
+        parts = _summands(theirs, given.columns)
+        missing = [part for _, part in parts if part not in given.columns]
         if missing:
-            raise FileError(f"{path}: column {missing[0]} missing; found {_listed(table.columns)}")
+            raise FileError(f"{path}: column {missing[0]} missing; found {_listed(given.columns)}")
         if len(parts) == 1 and parts[0][0] > 0:
-            table[ours] = table[parts[0][1]]
+            table[ours] = given[parts[0][1]]
         else:
-            table[ours] = sum(sign * _floats(path, table, part) for sign, part in parts)
+            table[ours] = sum(sign * _floats(path, given, part) for sign, part in parts)
     missing = []
     for name in (*texts, *numbers):
         stem, _, unit = name.rpartition("_")

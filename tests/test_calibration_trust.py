@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.coverage import coverage
 from grindvision.arm import MdhArm, forward, write_arm
 from grindvision.arm.controllers import common_normal_table, standard_table, ur_deltas_text
 from grindvision.arm.urdf_chain import urdf_chain, write_corrected_urdf
@@ -238,3 +239,42 @@ def test_only_where_the_scanner_sits(rng):
     assert (result.arm.table == er3a().table).all() and len(result.unknowns) == 12
     assert np.abs(result.cell.T_joint_scanner - made.cell.T_joint_scanner)[:3, 3].max() < 0.2
     assert error_statistics(residuals_of(result.cell, made.measurements)).mean < 0.2
+
+
+def test_a_track_that_the_table_leaves_out_is_named_and_the_advice_works(rng, tmp_path, capsys):
+    made = rig(ur5(), rng, rows=60, on_tool=True)
+    q, travel = made.measurements.q_rad, rng.uniform(0, 1500, 60)
+    tracker = made.measurements.tracker_mm + np.outer(travel, made.cell.T_tracker_base[:3, :3] @ [0.6, 0.8, 0.0])
+    table = pd.DataFrame(np.degrees(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+    table[["bx_mm", "by_mm", "bz_mm"]] = tracker
+    table.assign(rail_m=travel / 1000, note="x", speed=3.0).to_csv(tmp_path / "m.csv", index=False)
+    write_arm(ur5(), tmp_path / "r.csv")
+    command = ["calibrate", str(tmp_path / "m.csv"), "-o", str(tmp_path / "out"), "--beyond-geometry", "off"]
+    assert main([*command, "--robot", str(tmp_path / "r.csv")]) == 2
+    said = capsys.readouterr().err
+    assert "column rail_m" in said and "by 1 m a unit along (0.60, 0.80" in said and "theta -143 deg" in said
+    rows = np.vstack([np.zeros(5), ur5().table])
+    rows[1, [0, 3]] = -np.pi / 2, np.radians(-143)
+    write_arm(MdhArm(rows, ("rail", *ur5().joints), (True,) + 6 * (False,)), tmp_path / "r.csv")
+    names = ["q1_m=rail_m", *(f"q{i + 1}_deg=q{i}_deg" for i in range(1, 7))]
+    assert main([*command, "--robot", str(tmp_path / "r.csv"), "--columns", *names]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["errors_mm"]["test"]["after"]["mean"] < 0.15
+
+
+def test_a_small_coupling_in_a_sweep_is_not_blamed_on_another_pair(rng):
+    made = rig(ur5(), rng, rows=48, on_tool=True, noise_mm=0.02)
+    q = np.tile([0.2, -0.8, 0.9, 0.3, 0.8, 0.1], (48, 1))
+    for joint in range(6):
+        q[8 * joint : 8 * joint + 8, joint] += np.linspace(-1, 1, 8)
+    tracker = made.cell.points_tracker(q, made.measurements.scanner_mm) + 0.02 * rng.normal(size=(48, 3))
+    shown = q.copy()
+    shown[:, 2] -= 0.02 * q[:, 1]
+    with pytest.raises(InputError, match=r"joint 3 is coupled to joint 2: with q3 = q3 \+0\.0(2|19|20)"):
+        calibrate(Measurements(shown, made.measurements.scanner_mm, tracker), ur5())
+
+
+def test_stated_sigmas_hold_where_gears_wave_and_links_sag():
+    within, _ = coverage(4, clean=False)
+    plain, _ = coverage(4, clean=False, diagnose=False)
+    assert 0.5 < within < 0.85 and plain < within

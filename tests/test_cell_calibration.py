@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from grindvision import cell, paper
+from grindvision.arm import joint_transforms
 from grindvision.cell import ScannerErrors
 from grindvision.cell.arms import JOINT_LIMITS_RAD
+from grindvision.cell.joint_errors import GRAVITY
 from grindvision.cell.spheres import nest_directions
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import inverse, move_points, vector_angle
@@ -132,3 +134,29 @@ def test_the_tracker_is_as_noisy_as_its_maker_says_at_every_distance(metres):
     points = np.tile(tracker.station_mm + [0, 0, 1000 * metres], (20_000, 1))
     errors_um = 1000 * (tracker.measure(points, np.random.default_rng(1)) - points)
     np.testing.assert_allclose(errors_um.std(axis=0), 5.0 + 2.0 * metres, rtol=0.03)
+
+
+def test_gravity_turns_joints_by_the_slope_of_the_potential_energy(rng):
+    errors = cell.drawn_joint_errors(cell.nominal_arm(), rng)
+    q = rng.uniform(-2, 2, 4)
+
+    def energy(at):
+        frames = joint_transforms(errors.arm, at)[1:]
+        places = np.einsum("kij,kj->ki", frames[:, :3, :3], errors.centres_mm) + frames[:, :3, 3]
+        return -GRAVITY * errors.masses_kg @ (places @ errors.down) / 1000
+
+    slopes = [(energy(q - 1e-6 * axis) - energy(q + 1e-6 * axis)) / 2e-6 for axis in np.eye(4)]
+    np.testing.assert_allclose(errors.torques_nm(q), slopes, atol=1e-6)
+    assert abs(errors.torques_nm(q)[0]) < 1e-9  # about the upright axis there is none
+
+
+def test_gear_waves_repeat_with_every_turn_and_the_papers_twin_has_none(rng, robot):
+    errors = cell.drawn_joint_errors(robot.true, rng, sag_deg=0.0)
+    q = rng.uniform(-1, 1, 4)
+    np.testing.assert_allclose(errors.applied(q + 2 * np.pi) - errors.applied(q), 2 * np.pi, atol=1e-12)
+    assert 0 < np.abs(errors.applied(q) - q).max() < np.radians(0.2)
+    wavy = replace(robot, joint_errors=errors)
+    np.testing.assert_allclose(wavy.exact_poses(q), robot.exact_poses(errors.applied(q)), atol=1e-12)
+    assert robot.joint_errors is None
+    with pytest.raises(InputError, match="masses_kg"):
+        replace(errors, masses_kg=np.ones(3))

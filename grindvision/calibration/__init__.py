@@ -16,7 +16,8 @@ from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_r
 from grindvision.calibration.holding import Verification, VerifyOptions, read_cell, verify
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm
-from grindvision.calibration.measurement_files import read_measurements
+from grindvision.calibration.left_out import track_left_out
+from grindvision.calibration.measurement_files import read_measurements, unused_columns
 from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements
 from grindvision.calibration.model import (
     ScannerOnArm,
@@ -80,8 +81,10 @@ __all__ = [
     "suggest_poses",
     "table_entries",
     "three_point",
+    "track_left_out",
     "unit_sizes",
     "unknowns_of",
+    "unused_columns",
     "verify",
     "whitened_jacobian",
 ]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from grindvision.arm import MdhArm
 from grindvision.calibration.diagnosis import SUSPICIOUS_MM
 from grindvision.calibration.estimate import Sigmas, gauss_newton, residuals_of
-from grindvision.calibration.joint_terms import JointCorrections, coupling_terms
+from grindvision.calibration.joint_terms import JointCorrections, JointTerm, coupling_terms
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm, Unknowns
 from grindvision.errors import DegenerateError, GrindvisionError, InputError
@@ -23,6 +23,9 @@ WHOLE, INSIDE = 0.75, 0.75
 
 #: A row that a coupling brings this near agrees with it: the table is not free to follow yet.
 AGREES_MM = 1.0
+
+#: A coupling explains rows that were left out where it brings the errors of all rows down to this fraction.
+BETTER = 0.7
 
 #: Rows and poses that make a region; fewer are slips.
 MIN_ROWS, MIN_POSES = 4, 3
@@ -128,24 +131,31 @@ def _coupling(
     """The pair of joints whose coupling, fitted to all rows, leaves the least: in words, empty where none helps."""
     typical = max(float(np.median(np.linalg.norm(residuals_of(cell, training), axis=1)[kept])), 1e-3)
     loose = replace(sigmas, term_rad=1.0, rest_mm=max(sigmas.rest_mm, typical))
-    best, found = 0.0, ""
-    for term in (
-        one for pair in coupling_terms(cell.arm) for one in (pair, replace(pair, joint=pair.source, source=pair.joint))
-    ):
-        for begin in (0.0, 1.0, -1.0):
-            start = replace(cell, corrections=JointCorrections((term,), (begin,)))
-            try:
-                fit, *_ = gauss_newton(
-                    start, nominal, replace(unknowns, terms=(term,)), training, loose, robust=True, iterations=8
-                )
-            except GrindvisionError:
-                continue
-            agree = float((np.linalg.norm(residuals_of(fit, training), axis=1) < max(8 * typical, AGREES_MM)).mean())
-            if agree > max(best, 0.95):
-                best, factor = agree, fit.corrections.values[0]
-                found = (
-                    f"joint {term.joint + 1} is coupled to joint {term.source + 1}: with q{term.joint + 1} ="
-                    f" q{term.joint + 1} {factor:+.4g} q{term.source + 1} {agree:.0%} of the rows agree; mend the"
-                    f" column, as in --columns q{term.joint + 1}_deg=A{'+' if factor > 0 else '-'}B"
-                )
+
+    def fitted(terms: tuple[JointTerm, ...], values: tuple[float, ...]) -> tuple[float, float, ScannerOnArm]:
+        """Fraction of the rows that agree, geometric mean of the errors, and the cell."""
+        start = replace(cell, corrections=JointCorrections(terms, values))
+        wider = replace(unknowns, terms=terms)
+        fit, *_ = gauss_newton(start, nominal, wider, training, loose, robust=True, iterations=8)
+        errors = np.linalg.norm(residuals_of(fit, training), axis=1)
+        agree = float((errors < max(8 * typical, AGREES_MM)).mean())
+        return agree, float(np.exp(np.log(errors + 0.1 * typical).mean())), fit
+
+    _, least, _ = fitted((), ())
+    least *= BETTER
+    found = ""
+    for pair in coupling_terms(cell.arm):
+        for term in (pair, replace(pair, joint=pair.source, source=pair.joint)):
+            for begin in (0.0, 1.0, -1.0):
+                try:
+                    agree, error, fit = fitted((term,), (begin,))
+                except GrindvisionError:
+                    continue
+                if agree > 0.95 and error < least:
+                    least, factor = error, fit.corrections.values[0]
+                    found = (
+                        f"joint {term.joint + 1} is coupled to joint {term.source + 1}: with q{term.joint + 1} ="
+                        f" q{term.joint + 1} {factor:+.4g} q{term.source + 1} {agree:.0%} of the rows agree; mend the"
+                        f" column, as in --columns q{term.joint + 1}_deg=A{'+' if factor > 0 else '-'}B"
+                    )
     return found

@@ -31,7 +31,7 @@ def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -
         raise DegenerateError(
             f"{len(good)} different training measurements give {equations} equations for {unknowns} unknowns;"
             f" measure at least {unknowns // 3 + 1} and one to hold out, better {unknowns}, or hold some parameters"
-            " (--free, --fix)"
+            " (--free hand-eye, --fix)"
         )
     moved = np.ptp(good.q_rad, axis=0)
     if moved.max() < 1e-3:

@@ -124,6 +124,19 @@ def read_measurements(
     return _with_orientations(result, table, turning) if turning else result
 
 
+def unused_columns(path: str | Path, columns: Mapping[str, str] | None = None) -> dict[str, Floats]:
+    """Columns of numbers (M,) in a measurement file that ``read_measurements`` does not read, by their names."""
+    used = re.split(r"[+-]", "+".join((columns or {}).values()))
+    found = {}
+    for name in column_names(path):
+        if not KNOWN.fullmatch(name) and name not in used:
+            try:
+                found[name] = read_table(path, (name,))[name].to_numpy(dtype=float)
+            except FileError:
+                continue
+    return found
+
+
 def _joint_count(path: str | Path, names: Collection[str], joints: int | None, columns: Mapping[str, str]) -> int:
     numbered = len({match[1] for name in names if (match := JOINT.fullmatch(name))})
     if numbered == 0:

@@ -109,18 +109,24 @@ def _linear_solution(
     """
     T_base_joint, tracker, seen_mm = frames[chosen], measurements.tracker_mm[chosen], measurements.scanner_mm[chosen]
     size = max(float(np.abs(tracker).max()), 1.0)
-    columns = np.zeros((len(chosen), 3, 24))
-    for axis in range(3):
-        columns[:, axis, 3 * axis : 3 * axis + 3] = tracker / size
-        columns[:, axis, 9 + axis] = 1.0
-        seen = -T_base_joint[:, :3, axis, None] * seen_mm[:, None, :] / size
-        columns[:, :, 12 + 3 * axis : 15 + 3 * axis] = seen
-    columns[:, :, 21:] = -T_base_joint[:, :3, :3]
+    columns = _linear_columns(T_base_joint, tracker, seen_mm, size)
     solution = np.linalg.lstsq(columns.reshape(-1, 24), T_base_joint[:, :3, 3].ravel(), rcond=1e-9)[0]
     parts = [part.reshape(3, 3) for part in (solution[:9], solution[12:21])]
     R_base_tracker, R_joint_scanner = (nearest_rotation(part) for part in parts)
     lengths = [float(np.cbrt(abs(np.linalg.det(part)))) / size for part in parts]
     return (R_base_tracker, R_joint_scanner), (lengths[0], lengths[1])
+
+
+def _linear_columns(T_base_joint: Floats, tracker_mm: Floats, seen_mm: Floats, size: float) -> Floats:
+    """Columns (M, 3, 24) of the linear system of ``_linear_solution``; ``size`` scales the readings to about 1."""
+    columns = np.zeros((len(tracker_mm), 3, 24))
+    for axis in range(3):
+        columns[:, axis, 3 * axis : 3 * axis + 3] = tracker_mm / size
+        columns[:, axis, 9 + axis] = 1.0
+        seen = -T_base_joint[:, :3, axis, None] * seen_mm[:, None, :] / size
+        columns[:, :, 12 + 3 * axis : 15 + 3 * axis] = seen
+    columns[:, :, 21:] = -T_base_joint[:, :3, :3]
+    return columns
 
 
 def _with_rotations(
@@ -141,6 +147,26 @@ def _with_rotations(
     goal = T_base_joint[:, :3, 3] + turned - tracker @ R_base_tracker.T
     shifts = np.linalg.lstsq(columns.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
     return ScannerOnArm(arm, rigid(R_joint_scanner, shifts[3:]), inverse(rigid(R_base_tracker, shifts[:3])))
+
+
+def slide_along(measurements: Measurements, arm: MdhArm, travel: Floats) -> tuple[Floats, float, float]:
+    """Whether the arm rode on a slide by ``travel`` (M,) of some unit while it was measured.
+
+    The linear solution of the starts, with the slide's direction times the length of its unit as three more unknowns.
+
+    Returns:
+        That direction (3,) in the base frame, mm a unit, and the median errors in mm without it and with it.
+    """
+    frames, tracker = forward(arm, measurements.q_rad), measurements.tracker_mm
+    columns = _linear_columns(frames, tracker, measurements.scanner_mm, max(float(np.abs(tracker).max()), 1.0))
+    slide = np.multiply.outer((travel - travel.mean()) / np.std(travel), -np.eye(3))
+    goal = frames[:, :3, 3]
+    medians = []
+    for matrix in (columns, np.concatenate([columns, slide], axis=2)):
+        flat = matrix.reshape(-1, matrix.shape[2])
+        solution = np.linalg.lstsq(flat, goal.ravel(), rcond=1e-9)[0]
+        medians.append(float(np.median(np.linalg.norm(goal - (flat @ solution).reshape(-1, 3), axis=1))))
+    return solution[-3:] / np.std(travel), medians[0], medians[1]
 
 
 def touching_start(measurements: Measurements, arm: MdhArm, base_fixed: bool, seed: int = 0) -> ScannerOnArm:

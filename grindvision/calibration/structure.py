@@ -28,7 +28,7 @@ Describe = Callable[[Floats], tuple[float, str]]
 FALSE_ALARM, MIN_EXPLAINED = 1e-3, 0.08
 
 #: Causes named at most, and rows looked at: more than these tell no more.
-MAX_FINDINGS, MAX_ROWS = 4, 3000
+MAX_FINDINGS, MAX_ROWS = 4, 2000
 
 #: Places in the session at which a jump is looked for.
 JUMPS = 150

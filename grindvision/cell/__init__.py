@@ -14,6 +14,7 @@ from grindvision.cell.experiment4 import Experiment4Twin, PrintedPath, experimen
 from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene, scanned_pair
 from grindvision.cell.height_target import HEIGHT_MM, POSITIONS_MM, flat_plate, height_sighting, height_target
+from grindvision.cell.joint_errors import JointErrors, drawn_joint_errors
 from grindvision.cell.joint_pieces import JOINTS, JointPiece, JointSize, joint_piece
 from grindvision.cell.joint_scene import JointScene, joint_scene
 from grindvision.cell.rays import Target
@@ -47,6 +48,7 @@ __all__ = [
     "GrindingRobot",
     "GrindingScene",
     "Groove",
+    "JointErrors",
     "JointPiece",
     "JointScene",
     "JointSize",
@@ -68,6 +70,7 @@ __all__ = [
     "calibration_experiment",
     "calibration_plan",
     "directions_seeing",
+    "drawn_joint_errors",
     "experiment4_twin",
     "flat_plate",
     "grinding_part",

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision import paper
 from grindvision.arm import MdhArm, forward, read_arm
+from grindvision.cell.joint_errors import JointErrors
 from grindvision.cell.scanners import Scanner, StructuredLightScanner
 from grindvision.data_files import data_folder
 from grindvision.errors import InputError
@@ -66,7 +67,8 @@ class GrindingRobot:
     """The arm with the scanner on joint 4: what the controller believes, and what is true.
 
     ``joint_noise_deg`` is the standard deviation of every joint about its commanded angle, new at each move: 0.003 deg
-    move the scanner by about the arm's stated repeatability of 0.02 mm.
+    move the scanner by about the arm's stated repeatability of 0.02 mm. ``joint_errors`` are gear waves and sag that
+    repeat with the angles; the twin of the paper has none.
     """
 
     nominal: MdhArm = field(default_factory=nominal_arm)
@@ -75,6 +77,7 @@ class GrindingRobot:
     T_joint4_scanner: Floats = field(default_factory=lambda: paper.hand_eye("accurate"))
     scanner: Scanner = field(default_factory=StructuredLightScanner)
     joint_noise_deg: float = 0.003
+    joint_errors: JointErrors | None = None
 
     def __post_init__(self) -> None:
         if not self.joint_noise_deg >= 0:
@@ -85,8 +88,9 @@ class GrindingRobot:
         return forward(self.nominal, q_rad) @ self.T_joint4_scanner_nominal
 
     def exact_poses(self, q_rad: ArrayLike) -> Floats:
-        """True T_base_scanner (..., 4, 4) if the joints stood exactly at ``q_rad`` (..., 4)."""
-        return forward(self.true, q_rad) @ self.T_joint4_scanner
+        """True T_base_scanner (..., 4, 4) at commanded joint angles (..., 4), without the noise of a move."""
+        stands = q_rad if self.joint_errors is None else self.joint_errors.applied(q_rad)
+        return forward(self.true, stands) @ self.T_joint4_scanner
 
     def move(self, q_rad: ArrayLike, rng: np.random.Generator) -> Floats:
         """True T_base_scanner (..., 4, 4) after a move to commanded joint angles (..., 4): they are met only nearly."""

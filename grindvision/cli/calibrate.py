@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision.cli.calibrate_results import OUTDATED, RobotSource, results_of, write_results
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
-from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.errors import GrindvisionError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
     from grindvision.arm import MdhArm
@@ -170,7 +170,14 @@ def run(options: argparse.Namespace) -> int:
                     raise InputError(f"--train {options.train}, but the file's column split says it too; use one")
                 measurements = measurements.drawn(options.train, np.random.default_rng(options.seed))
         with work.stage("calibrate"):
-            result = calibration.calibrate(measurements, arm, settings)
+            try:
+                result = calibration.calibrate(measurements, arm, settings)
+            except GrindvisionError as error:
+                unused = calibration.unused_columns(options.measurements, columns)
+                track = calibration.track_left_out(measurements, arm, unused)
+                if not track:
+                    raise
+                raise InputError(track) from error
         with work.stage("held_out"):
             if measurements.train.all():
                 unseen = calibration.cross_validated(result, settings)
