@@ -74,11 +74,11 @@ def check_fit(
         )
     turned = np.abs((cell.arm.table - coarse.arm.table)[:, 0])
     turned = np.minimum(turned, np.abs(2 * np.pi - turned))
-    if turned.max() > OTHER_AXIS_RAD:
-        joint = int(np.argmax(turned))
+    if typical <= SUSPICIOUS_MM and turned.max() > OTHER_AXIS_RAD:
+        axis = int(np.argmax(turned))
         raise InputError(
-            f"the fit turned {entry_name(5 * joint)} by {np.degrees(turned.max()):.0f} deg, which no arm of this table"
-            f" does; check which of q1 to q{max(joint + 1, 2)} count the other way round, and the table"
+            f"the fit turned {entry_name(5 * axis)} by {np.degrees(turned.max()):.0f} deg, which no arm of this table"
+            f" does; check which of q1 to q{max(axis + 1, 2)} count the other way round, and the table"
         )
     if typical <= SUSPICIOUS_MM and kept.mean() > 0.7:
         return moved
