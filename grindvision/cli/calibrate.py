@@ -15,7 +15,7 @@ from grindvision.errors import GrindvisionError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
     from grindvision.arm import MdhArm
-    from grindvision.calibration import Measurements
+    from grindvision.calibration import Calibration, Measurements
 
 EPILOG = """\
 MEASUREMENTS.csv, one row per point measured at one pose of the arm, below a line of names; commas, semicolons, tabs or
@@ -170,14 +170,7 @@ def run(options: argparse.Namespace) -> int:
                     raise InputError(f"--train {options.train}, but the file's column split says it too; use one")
                 measurements = measurements.drawn(options.train, np.random.default_rng(options.seed))
         with work.stage("calibrate"):
-            try:
-                result = calibration.calibrate(measurements, arm, settings)
-            except GrindvisionError as error:
-                unused = calibration.unused_columns(options.measurements, columns)
-                track = calibration.track_left_out(measurements, arm, unused)
-                if not track:
-                    raise
-                raise InputError(track) from error
+            result = _calibrated(measurements, arm, settings, options.measurements, columns)
         with work.stage("held_out"):
             if measurements.train.all():
                 unseen = calibration.cross_validated(result, settings)
@@ -223,6 +216,25 @@ def run(options: argparse.Namespace) -> int:
             shown.append(f"{suggestion} (suggested_poses.csv)")
         work.report(str(result), results_of(result, unseen, foreseen, suggestion), values, shown="\n".join(shown))
     return 0
+
+
+def _calibrated(
+    measurements: Measurements, arm: MdhArm, settings: Any, path: str, columns: dict[str, str]
+) -> Calibration:
+    """Calibrate; where nothing fits, look among the columns that were not used for a track that the table leaves out.
+
+    Raises:
+        InputError: such a column. GrindvisionError: see ``calibration.calibrate``.
+    """
+    from grindvision.calibration import calibrate, track_left_out, unused_columns
+
+    try:
+        return calibrate(measurements, arm, settings)
+    except GrindvisionError as error:
+        track = track_left_out(measurements, arm, unused_columns(path, columns))
+        if track:
+            raise InputError(track) from error
+        raise
 
 
 def _measured_point(measurements: Measurements) -> str:
