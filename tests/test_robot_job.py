@@ -4,12 +4,14 @@ import json
 import numpy as np
 import pytest
 
+from grindvision.arm import MdhArm, write_arm
 from grindvision.cell import weld_scene
 from grindvision.cli import main
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
 from grindvision.errors import FileError, InputError, NotRigidError
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
 from grindvision.motion import tool_trajectory
+from tests.calibration_rig import rig
 from tests.motion_scene import seam
 
 #: A scanner half a metre above the table that looks straight down.
@@ -109,3 +111,22 @@ def test_sending_is_asked_for_and_never_by_chance(pose):
         robot_job(options(*common, "--send", "10.0.0.2"))
     with pytest.raises(InputError, match="--send is for a robot's programme"):
         robot_job(options("--send", "10.0.0.2"))
+
+
+def test_the_table_that_calibrate_writes_is_a_robot_to_weld_with(pose, tmp_path):
+    table = [[0, 0, 151.9, 0, 0], [np.pi / 2, 0, 0, 0, 0], [0, -243.65, 0, 0, 0], [0, -213.25, 112.35, 0, 0]]
+    table += [[np.pi / 2, 0, 85.35, 0, 0], [-np.pi / 2, 0, 81.9, 0, 0]]
+    nominal = MdhArm(table, tuple(f"J{i}" for i in range(1, 7)), limits=np.tile([-2 * np.pi, 2 * np.pi, 3.14], (6, 1)))
+    made = rig(nominal, np.random.default_rng(0), rows=60, on_tool=True, off_mm=0.3, off_rad=3e-4)
+    rows = np.hstack([made.measurements.q_rad, made.measurements.tracker_mm])
+    names = [*(f"q{i}_rad" for i in range(1, 7)), "bx_mm", "by_mm", "bz_mm"]
+    np.savetxt(tmp_path / "m.csv", rows, delimiter=",", header=",".join(names), comments="")
+    write_arm(nominal, tmp_path / "r.csv")
+    words = ["--robot", str(tmp_path / "r.csv"), "-o", str(tmp_path / "cell"), "--beyond-geometry", "off"]
+    assert main(["calibrate", str(tmp_path / "m.csv"), *words]) == 0
+    positions, normals = seam(points=15)
+    T_scanner_base = inverse(T_BASE_SCANNER)
+    trajectory = tool_trajectory(move_points(T_scanner_base, positions), rotate_vectors(T_scanner_base, normals))
+    job = robot_job(options("--robot", str(tmp_path / "cell" / "robot.csv"), "--scanner-pose", pose))
+    work = np.random.default_rng(0).uniform([250, -90, 20], [370, 90, 45], (3000, 3))
+    assert job.write(job.plan(trajectory, move_points(T_scanner_base, work)), tmp_path / "out") == "program.csv"
