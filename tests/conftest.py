@@ -12,8 +12,13 @@ ROOT = Path(__file__).resolve().parent.parent
 runpy.run_path(str(ROOT / "grindvision_book" / "machinery" / "arithmetic.py"))["pin"]()
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import hypothesis
 import numpy as np
 import pytest
+
+# The same examples every time (`./run fuzz` draws new ones), and as much time for each as the machine takes.
+hypothesis.settings.register_profile("tests", derandomize=True, deadline=None, print_blob=True)
+hypothesis.settings.load_profile("tests")
 
 
 @pytest.fixture
@@ -47,7 +52,7 @@ def _site_and_warnings(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def whole_site(_site_and_warnings) -> Path:
-    """Every page of the HTML book, built once (tests of it share the xdist group ``site``)."""
+    """Every page of the HTML book, built once."""
     return _site_and_warnings[0]
 
 

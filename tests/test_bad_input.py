@@ -475,13 +475,34 @@ def test_a_run_that_breaks_off_changes_nothing(good, tmp_path, monkeypatch, capf
     assert not (tmp_path / "new").exists()
 
 
-def command(*words, **options):
+#: A time no step takes, however busy the machine; it ends a test that hangs.
+PATIENCE_S = 600
+#: ``detect`` that registers over and over, so that whatever happens to it happens in the middle.
+ENDLESS = """
+import sys
+from grindvision.cli import main
+from grindvision.vision.registration import scan_registration
+once = scan_registration.refine
+def refine(*arguments):
+    while True:
+        once(*arguments)
+scan_registration.refine = refine
+sys.exit(main())
+"""
+
+
+def command(*words, run=("-m", "grindvision"), **options):
     return subprocess.Popen(
-        [sys.executable, "-m", "grindvision", *map(str, words)],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        **options,
+        [sys.executable, *run, *map(str, words)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, **options
     )
+
+
+def wait_for(happened, process):
+    """Wait until something has happened, as long as the process is alive."""
+    until = time.monotonic() + PATIENCE_S
+    while not happened() and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.01)
+    assert happened(), process.communicate(timeout=PATIENCE_S) if process.poll() is not None else "not in time"
 
 
 def test_a_full_disk(good, tmp_path):
@@ -494,7 +515,7 @@ def test_a_full_disk(good, tmp_path):
         tmp_path / "out",
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
     )
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2, error
     assert error.count(b"\n") == 1 and b"cannot write" in error and b"free space" in error
     assert list(tmp_path.iterdir()) == []
@@ -503,14 +524,12 @@ def test_a_full_disk(good, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_in_the_middle(good, tmp_path, number):
     process = command(
-        "detect", good / "sample.ply", good / "test.ply", "-o", tmp_path / "out",
+        "detect", good / "sample.ply", good / "test.ply", "-o", tmp_path / "out", run=("-c", ENDLESS),
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
     )  # fmt: skip
-    until = time.monotonic() + 60
-    while not list(tmp_path.glob("out/.grindvision-*/")) and time.monotonic() < until:
-        time.sleep(0.01)
+    wait_for(lambda: list(tmp_path.glob("out/.grindvision-*/")), process)
     os.kill(process.pid, number)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert error == b"grindvision detect: interrupted; nothing half-written is left\n"
     assert process.returncode == 128 + number
     assert list(tmp_path.iterdir()) == []
@@ -520,7 +539,7 @@ def test_a_reader_that_goes_away_and_a_full_terminal(good, tmp_path):
     with open("/dev/full", "wb") as full:
         process = subprocess.run(
             [sys.executable, "-m", "grindvision", "groove", good / "a.ply", "-o", tmp_path / "out"],
-            stdout=full, stderr=subprocess.PIPE, timeout=120, check=False,
+            stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
     assert process.returncode == 2
     assert process.stderr.count(b"\n") == 1 and b"No space left" in process.stderr

@@ -16,8 +16,6 @@ from benchmarks import goals, inputs, judging, races, racing, report, scenes
 from benchmarks.racing import Case, Measurement, Racer
 from grindvision.clouds import write_ply
 
-pytestmark = pytest.mark.xdist_group("races")  # one cache of scans
-
 TINY = replace(races.QUICK, poses=1)
 STAGES = {
     one.name: one for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.VOXEL, races.FPFH)
@@ -74,7 +72,7 @@ def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache, monk
     pairs = pd.read_csv(tmp_path / "bench_scenes.csv")
     assert pairs["error"].tolist() == list(scenes.ERRORS) and (pairs["scenes"] + pairs["failed"] == 4).all()
     assert pairs["ours_median"].tolist() == pytest.approx(table.loc[0, list(scenes.ERRORS)].tolist(), rel=1e-4)
-    assert (table["growth_mib"] < table["peak_mib"]).all() and (table["growth_mib"] > 0).all()
+    assert (table["growth_mib"] <= table["peak_mib"]).all() and (table["growth_mib"] >= 0).all()
     assert (table["min_s"] <= table["median_s"]).all() and (table["median_s"] <= table["max_s"]).all()
     ours, peer = table["median_s"]
     assert table["of_fastest_peer"].tolist() == pytest.approx([ours / peer, 1.0], rel=1e-5)

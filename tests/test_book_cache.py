@@ -13,11 +13,10 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, writes
 
 from grindvision.cli import main
 from grindvision.errors import FileError
-from grindvision_book.machinery import kept
+from grindvision_book.machinery import kept, places
 from grindvision_book.machinery.chapters import chapters
 from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook
 from grindvision_book.machinery.one_at_a_time import only_build
-from grindvision_book.machinery.places import BUILD
 from grindvision_book.machinery.reading import ReadingPage, write_page
 from grindvision_book.machinery.rebuilding import Outcome, rebuild
 from grindvision_book.machinery.schedule import Remaining, longest_first, record_seconds, recorded_seconds
@@ -182,8 +181,9 @@ def test_what_a_module_loads_is_found_in_its_sources(module):
 # --- one build at a time
 
 
-def test_a_second_build_is_refused_in_one_line(capsys):
-    with only_build(BUILD):
+def test_a_second_build_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(places, "BUILD", tmp_path)
+    with only_build(tmp_path):
         assert main(["book", "--only", "00"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "another build of the book runs" in line and "wait for it" in line

@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import termios
+import time
 import types
 
 import numpy as np
@@ -92,7 +93,8 @@ def test_a_tracked_arm_runs_again_from_its_parameters(tmp_path, rng):
     assert [entry["name"] for entry in report["inputs"]] == ["log.csv", "robot.csv"]
 
 
-def test_json_is_the_report_and_nothing_else(scan, tmp_path, capsys):
+def test_json_is_the_report_and_nothing_else(scan, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(time, "perf_counter", time.process_time)  # what others do meanwhile takes no time
     code, text, error = run(capsys, "groove", scan, "-o", tmp_path / "out", "--json")
     assert code == 0 and error == ""
     assert text == (tmp_path / "out" / "report.json").read_text()
@@ -151,11 +153,14 @@ def terminal_of(code):
 
 def test_a_bar_appears_on_a_terminal_when_it_takes_a_while():
     code = (
-        "import time\nfrom grindvision.cli import progress\nprogress.PATIENCE_S = {}\nbar = progress.Progress(2)\n"
-        "bar.finished('read')\ntime.sleep(0.6)\nbar.close()\n"
+        "import threading, tqdm\nfrom grindvision.cli import progress\nprogress.PATIENCE_S = {}\n"
+        "told, shown = tqdm.tqdm.set_description_str, threading.Event()\n"
+        "tqdm.tqdm.set_description_str = lambda *words: (told(*words), shown.set())\n"
+        "bar = progress.Progress(2)\nbar.finished('read')\nshown.wait({})\nbar.close()\n"
     )
-    assert "read done" in terminal_of(code.format(0.05)) and "1 of 2 stages" in terminal_of(code.format(0.05))
-    assert terminal_of(code.format(5)) == ""
+    seen = terminal_of(code.format(0.05, 600))
+    assert "read done" in seen and "1 of 2 stages" in seen
+    assert terminal_of(code.format(600, 0.3)) == ""
 
 
 def test_without_a_terminal_there_is_no_bar(monkeypatch, capsys):

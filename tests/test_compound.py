@@ -18,9 +18,6 @@ from grindvision_book.chapter_08.compound import (
 )
 from grindvision_book.chapter_09.limits import displacement
 
-pytestmark = pytest.mark.xdist_group("compound")  # one workplace, one plan, one cell
-
-
 @pytest.fixture(scope="module")
 def paths():
     return compound_paths(np.random.default_rng(1))

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import warnings
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pandas as pd
@@ -29,7 +29,7 @@ from grindvision.interrupts import Interrupted, ending_signals_interrupt, undist
 from grindvision.result_set import write_set
 from grindvision_book.machinery.figures import markdown_table
 from grindvision_book.studies.rows import RowsFile
-from tests.test_bad_input import blank_pictures, command, good, obeys, quickly  # noqa: F401  fixtures
+from tests.test_bad_input import ENDLESS, PATIENCE_S, blank_pictures, command, good, obeys, quickly, wait_for  # noqa: F401
 
 # What is no plain file
 
@@ -66,19 +66,41 @@ def doors(good, path):  # noqa: F811
     yield "calibrate-field", path.with_name(path.name + ".npy"), "--steps-mm", "0"
 
 
+_opened: list[str] | None = None
+
+
+def _note(event, arguments):
+    if _opened is not None and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+        _opened.append(os.fsdecode(arguments[0]))
+
+
+sys.addaudithook(_note)
+
+
+@contextmanager
+def opened_files():
+    """Paths of all files that this process opens in the block."""
+    global _opened
+    _opened = []
+    try:
+        yield _opened
+    finally:
+        _opened = None
+
+
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_is_no_plain_file_is_refused_at_once_at_every_door(good, obeys, tmp_path, name):  # noqa: F811
     write_json(good / "pose.json", rigid(translation_mm=[0, 0, 900.0]))
-    with other_things(tmp_path):
+    with other_things(tmp_path), opened_files() as opened:
         for suffix in (".ply", ".xyz", ".csv", ".urdf", ".npy"):
             if os.path.exists(tmp_path / name):
                 (tmp_path / f"{name}{suffix}").symlink_to(tmp_path / name)
         for door, *words in doors(good, tmp_path / name):
-            begin = time.process_time()
             code, error, _ = obeys(door, *words)
-            assert code == 2 and time.process_time() - begin < 5, error
+            assert code == 2, error
             if name in ("pipe", "folder", "zero"):
                 assert "not a file" in error or "no such file" in error
+        assert opened and not [path for path in opened if path.startswith(str(tmp_path / name))]
 
 
 def test_a_pipe_that_takes_a_files_place_between_two_looks_does_not_hang(tmp_path, monkeypatch):
@@ -203,7 +225,7 @@ def test_names_that_are_no_text(good, tmp_path, door):  # noqa: F811
     words = ["--scanner-pose", tmp_path / (odd + "pose.json")] if door == "detect" else []
     out = tmp_path / (odd + "out")
     process = command(door, *clouds, *words, "-o", out, env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    said, error = process.communicate(timeout=300)
+    said, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, error
     assert said.isascii() and b"\x1b" not in error and error.count(b"\n") == len(clouds)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
@@ -211,7 +233,7 @@ def test_names_that_are_no_text(good, tmp_path, door):  # noqa: F811
     if door == "detect":
         assert report["parameters"]["scanner-pose"] == str(words[1])
         again = command(door, *clouds, "-o", tmp_path / "again", "--parameters", out / "parameters.toml")
-        assert again.wait(timeout=300) == 0 and not (tmp_path / "again" / "path_base.csv").exists()
+        assert again.wait(timeout=PATIENCE_S) == 0 and not (tmp_path / "again" / "path_base.csv").exists()
         assert "no UTF-8; give it on the command line" in (out / "parameters.toml").read_text(encoding="utf-8")
 
 
@@ -224,7 +246,10 @@ def test_closed_streams_change_neither_the_results_nor_the_exit_code(good, tmp_p
     bad = f"{sys.executable} -m grindvision calibrate absent.csv --robot {good / 'r.csv'} -o {tmp_path / 'none'}"
     for line, code in ((run, 0), (bad, 2), (f"{sys.executable} -m grindvision --help", 0)):
         done = subprocess.run(
-            ["bash", "-c", f"{line} {closing}; exit ${{PIPESTATUS[0]}}"], capture_output=True, timeout=300, check=False
+            ["bash", "-c", f"{line} {closing}; exit ${{PIPESTATUS[0]}}"],
+            capture_output=True,
+            timeout=PATIENCE_S,
+            check=False,
         )
         assert done.returncode == code and b"Traceback" not in done.stderr and b"Exception" not in done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -335,7 +360,7 @@ def test_many_runs_at_once_leave_one_set(tmp_path):
     out = tmp_path / "deep" / "out"
     runs = [subprocess.Popen([sys.executable, "-c", code, str(out), str(k)], stderr=subprocess.PIPE) for k in range(4)]
     for run in runs:
-        assert run.wait(timeout=120) == 0, run.stderr.read().decode()
+        assert run.wait(timeout=PATIENCE_S) == 0, run.stderr.read().decode()
     assert len({path.read_text() for path in out.iterdir()}) == 1
     assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt", "last.json"]
 
@@ -361,14 +386,12 @@ def test_the_report_names_every_file_with_its_digest(good, obeys):  # noqa: F811
 
 def test_a_killed_run_is_swept_by_the_next_but_a_live_one_is_not(good, tmp_path):  # noqa: F811
     out = tmp_path / "out"
-    process = command("detect", good / "sample.ply", good / "test.ply", "-o", out)
-    until = time.monotonic() + 120
-    while not list(out.glob(".grindvision-*/")) and time.monotonic() < until:
-        time.sleep(0.01)
+    process = command("detect", good / "sample.ply", good / "test.ply", "-o", out, run=("-c", ENDLESS))
+    wait_for(lambda: list(out.glob(".grindvision-*/")), process)
     assert main(["calibrate", str(good / "m.csv"), "--robot", str(good / "r.csv"), "-o", str(out)]) == 2
     assert list(out.glob(".grindvision-*/"))
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=PATIENCE_S)
     assert main(["calibrate", str(good / "m.csv"), "--robot", str(good / "r.csv"), "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == set(json.loads((out / "report.json").read_text())["files"])
 
@@ -412,7 +435,9 @@ def test_an_unreadable_file_as_a_plain_user(good, tmp_path):  # noqa: F811
     for parent in (tmp_path, *tmp_path.parents):
         if parent.owner() == "root" and not parent.stat().st_mode & 0o005 and "pytest" in str(parent):
             parent.chmod(0o755)
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, timeout=PATIENCE_S, check=False
+    )
     assert done.returncode == 0, done.stderr.decode()
 
 
@@ -427,21 +452,18 @@ def test_a_signal_ends_a_study_with_its_own_code_and_all_finished_rows(tmp_path,
         "study", "compound", "-o", rows, "--cases", 500, "--jobs", 2, start_new_session=True,
         preexec_fn=lambda: [signal.signal(one, signal.SIG_DFL) for one in (signal.SIGINT, signal.SIGHUP)],
     )  # fmt: skip
-    until = time.monotonic() + 120
-    while not rows.exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    time.sleep(1.0)
+    wait_for(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 1, process)
     if number == signal.SIGHUP:  # to the whole group it would end joblib's own helper, which complains of that
         process.send_signal(number)
     else:
         os.killpg(process.pid, number)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + number
     assert b"grindvision study: interrupted; nothing half-written is left" in error.splitlines()
     assert b"Traceback" not in error
     assert [path.name for path in tmp_path.iterdir()] == ["rows.csv"]
     with RowsFile(rows) as found:
-        assert len(found.stored) < 500
+        assert 1 <= len(found.stored) < 500
 
 
 def test_signals_wait_while_results_are_put_in_place(tmp_path):
@@ -466,7 +488,7 @@ def test_an_interrupt_that_a_callback_swallows_comes_again():
     callback = ctypes.CFUNCTYPE(ctypes.c_int)(raises)
     with pytest.raises(Interrupted) as caught, ending_signals_interrupt():
         callback()
-        time.sleep(10)
+        time.sleep(PATIENCE_S)
     assert caught.value.exit_code == 143
 
 

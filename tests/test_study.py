@@ -154,9 +154,13 @@ def test_results_must_be_named_alike():
         run_study(uneven, CASES, seed=3, jobs=1)
 
 
+#: A time that nothing here takes, however busy the machine.
+PATIENCE_S = 600
+
+
 @pytest.fixture
 def cluster(tmp_path):
-    """Address of a real Dask scheduler on this machine, and the two worker processes it has."""
+    """Address of a real Dask scheduler on this machine, its process, and the two worker processes it has."""
     environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "5"}
     dask = [sys.executable, "-m", "dask"]
     address_file = tmp_path / "scheduler.json"
@@ -170,10 +174,10 @@ def cluster(tmp_path):
     try:
         from distributed import Client
 
-        with Client(scheduler_file=str(address_file), timeout=20, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=20)
+        with Client(scheduler_file=str(address_file), timeout=PATIENCE_S, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=PATIENCE_S)
             found = client.scheduler.address
-        yield found, processes[1:]
+        yield found, processes
     finally:
         for process in processes:
             process.kill()
@@ -181,30 +185,42 @@ def cluster(tmp_path):
         log.close()
 
 
-def test_a_killed_worker_loses_no_case_and_doubles_none(cluster, tmp_path):
-    scheduler, workers = cluster
-    cases = pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
-    path, finished_at_kill = tmp_path / "rows.csv", []
+def until_the_middle(path, go_on, then):
+    """A measure of which half waits for the file ``go_on``, but on a late worker; ``then`` happens when some of the
+    other rows are in."""
 
-    def slow(rng, scale, label):
-        time.sleep(0.04)
+    def half_of_them_wait(rng, scale, label):
+        while scale > 1.5 and not (os.path.exists(go_on) or "LATE" in os.environ):
+            time.sleep(0.01)
         return {"value": scale * rng.standard_normal(), "process": os.getpid()}
 
-    def kill_one_in_the_middle():
-        while not path.exists() or path.read_bytes().count(b"\n") < 20:
+    def in_the_middle():
+        while not path.exists() or path.read_bytes().count(b"\n") < 10:
             time.sleep(0.01)
+        then()
+
+    threading.Thread(target=in_the_middle, daemon=True).start()
+    return half_of_them_wait
+
+
+def test_a_killed_worker_loses_no_case_and_doubles_none(cluster, tmp_path):
+    scheduler, (_, *workers) = cluster
+    cases = pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
+    path, go_on, finished_at_kill = tmp_path / "rows.csv", tmp_path / "go_on", []
+
+    def kill_one():
         workers[0].send_signal(signal.SIGKILL)
         finished_at_kill.append(path.read_bytes().count(b"\n") - 1)
+        go_on.touch()
 
-    killer = threading.Thread(target=kill_one_in_the_middle, daemon=True)
-    killer.start()
-    rows = run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
-    killer.join(timeout=5)
+    measure = until_the_middle(path, str(go_on), kill_one)
+    rows = run_study(measure, cases, seed=3, results=path, scheduler=scheduler)
 
-    assert workers[0].wait(timeout=5) == -signal.SIGKILL and workers[1].poll() is None
+    assert workers[0].wait(timeout=PATIENCE_S) == -signal.SIGKILL and workers[1].poll() is None
     assert rows["case"].tolist() == list(range(60)) and (rows["error"] == "").all()
     assert len(path.read_text().splitlines()) == 61
-    assert set(rows["process"]) == {workers[0].pid, workers[1].pid} and finished_at_kill[0] < 60
+    assert {workers[1].pid} <= set(rows["process"]) <= {workers[0].pid, workers[1].pid}
+    assert 9 <= finished_at_kill[0] < 60
     here = run_study(draw, cases, seed=3, jobs=1)
     assert rows["value"].tolist() == here["value"].tolist()
 
@@ -236,36 +252,18 @@ def test_rows_from_a_cluster_are_those_of_this_machine_to_the_byte(cluster, tmp_
 def test_a_lost_scheduler_is_told_and_no_row_is_lost(cluster, tmp_path):
     import dask
 
-    scheduler, _ = cluster
+    scheduler, (process, *_) = cluster
     path, cases = tmp_path / "rows.csv", pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
-
-    def slow(rng, scale, label):
-        time.sleep(0.05)
-        return {"value": scale * rng.standard_normal()}
-
-    def kill_the_scheduler_in_the_middle():
-        while not path.exists() or path.read_bytes().count(b"\n") < 10:
-            time.sleep(0.01)
-        subprocess.run(["kill", "-9", str(scheduler_process(scheduler))], check=True)
-
-    threading.Thread(target=kill_the_scheduler_in_the_middle, daemon=True).start()
+    measure = until_the_middle(path, str(tmp_path / "go_on"), process.kill)
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
         pytest.raises(InputError, match=r"scheduler at tcp://.* was lost; finished rows are in the results file"),
     ):
-        run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
+        run_study(measure, cases, seed=3, results=path, scheduler=scheduler)
+    (tmp_path / "go_on").touch()
     found = pd.read_csv(path)
     assert 9 <= len(found) < 60 and found["error"].isna().all() and found["value"].notna().all()
-    assert len(run_study(slow, cases, seed=3, results=path, jobs=2)) == 60
-
-
-def scheduler_process(address: str) -> int:
-    """The process that listens at a Dask address."""
-    import psutil
-
-    port = int(address.rsplit(":", 1)[1])
-    ours = psutil.Process().children(recursive=True)
-    return next(p.pid for p in ours if any(c.laddr.port == port and c.status == "LISTEN" for c in p.net_connections()))
+    assert len(run_study(measure, cases, seed=3, results=path, jobs=2)) == 60
 
 
 def test_a_worker_with_other_code_is_refused_when_it_joins_later_too(cluster, tmp_path):
@@ -277,27 +275,21 @@ def test_a_worker_with_other_code_is_refused_when_it_joins_later_too(cluster, tm
     (other / "data").symlink_to(ROOT / "data")
     with open(other / "grindvision_book" / "designs.py", "a") as file:
         file.write("# changed\n")
-    path, cases = tmp_path / "rows.csv", pd.DataFrame({"scale": np.linspace(1.0, 2.0, 200), "label": "a"})
+    path, cases = tmp_path / "rows.csv", pd.DataFrame({"scale": np.linspace(1.0, 2.0, 60), "label": "a"})
     joined = []
 
-    def slow(rng, scale, label):
-        time.sleep(0.05)
-        return {"value": scale * rng.standard_normal()}
-
-    def join_in_the_middle():
-        while not path.exists() or path.read_bytes().count(b"\n") < 5:
-            time.sleep(0.01)
+    def join():
         words = [sys.executable, "-m", "dask", "worker", scheduler, "--no-nanny", "--no-dashboard", "--nthreads", "1"]
         log = open(tmp_path / "late.log", "w")  # noqa: SIM115
-        environment = {**os.environ, "PYTHONPATH": str(other)}
+        environment = {**os.environ, "PYTHONPATH": str(other), "LATE": "1"}
         joined.append(subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=log, stderr=log))
 
-    threading.Thread(target=join_in_the_middle, daemon=True).start()
+    measure = until_the_middle(path, str(tmp_path / "never"), join)
     try:
         with pytest.raises(InputError, match=r"worker tcp://\S+ has grindvision code \w{12}, here it is \w{12}"):
-            run_study(slow, cases, seed=3, results=path, scheduler=scheduler)
+            run_study(measure, cases, seed=3, results=path, scheduler=scheduler)
         with pytest.raises(InputError, match=r"worker tcp://\S+ has grindvision code"):
-            run_study(slow, cases, seed=3, results=tmp_path / "again.csv", scheduler=scheduler)
+            run_study(measure, cases, seed=3, results=tmp_path / "again.csv", scheduler=scheduler)
     finally:
         for process in joined:
             process.kill()
