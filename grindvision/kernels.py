@@ -37,6 +37,12 @@ _DIGEST_BYTES = 16
 #: Called with the name of each kernel that is ready, loaded or compiled; for a bar.
 listener: Callable[[str], None] | None = None
 
+#: Names of all kernels of the modules that are loaded.
+known: list[str] = []
+
+#: How many have been compiled by this process.
+compiled = 0
+
 
 def njit(*, cache: bool = False, **options: Any) -> Callable[[Kernel], Kernel]:
     """Decorator: ``numba.njit(**options)``; with ``cache`` the machine code is kept from one process to the next."""
@@ -45,6 +51,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Kernel], Kernel]:
         dispatcher = numba.njit(**options)(function)
         if cache:
             dispatcher._cache = KernelCache(function)
+            known.append(dispatcher._cache.name)
         return dispatcher
 
     return compiled
@@ -58,7 +65,7 @@ class KernelCache(_Cache):
         code = function.__code__
         self._source = Path(code.co_filename)
         module = function.__module__.removeprefix("grindvision.")
-        self._name = f"{module}.{function.__qualname__}-{code.co_firstlineno}.{sys.implementation.cache_tag}"
+        self.name = f"{module}.{function.__qualname__}-{code.co_firstlineno}.{sys.implementation.cache_tag}"
         self._enabled = True
         self._numba = CompileResultCacheImpl.__new__(CompileResultCacheImpl)  # turns code into bytes and back, no more
 
@@ -99,6 +106,8 @@ class KernelCache(_Cache):
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep what has been compiled, in the first folder that takes it; where none does, it is not kept."""
+        global compiled
+        compiled += 1
         self._tell()
         if not self._enabled or any(not part.can_cache for part in result.lifted) or result.library.has_dynamic_globals:
             return
@@ -111,7 +120,7 @@ class KernelCache(_Cache):
 
     def _entry(self, signature: Any, codegen: Any) -> str:
         kind = (str(signature), codegen.magic_tuple(), self._function.__code__.co_code)
-        return f"{self._name}-{self._stamp[:12]}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:20]}.kernel"
+        return f"{self.name}-{self._stamp[:12]}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:20]}.kernel"
 
     @functools.cached_property
     def _stamp(self) -> str:
@@ -123,14 +132,19 @@ class KernelCache(_Cache):
     def _drop(self, keep: str) -> None:
         """Remove entries of this kernel, but for those of the stamp ``keep``, from the folders that let us."""
         for folder in _folders():
-            for old in folder.glob(f"{self._name}-*.kernel"):
-                if not (keep and old.name.startswith(f"{self._name}-{keep}-")):
+            for old in folder.glob(f"{self.name}-*.kernel"):
+                if not (keep and old.name.startswith(f"{self.name}-{keep}-")):
                     with suppress(OSError):
                         old.unlink()
 
     def _tell(self) -> None:
         if listener is not None:
-            listener(self._name)
+            listener(self.name)
+
+
+def folder() -> Path:
+    """Where the machine code that is compiled from now on is kept."""
+    return _folders()[0]
 
 
 def sources_of(file: Path, package: Path = PACKAGE) -> list[Path]:

@@ -8,6 +8,8 @@ import time
 
 PATIENCE_S = 2.0
 
+COMPILING = "compiling for this processor, once: some half a minute (`grindvision compile` does it beforehand)"
+
 
 class Progress:
     """Counts ``stages``; the time that has passed goes on while a stage runs."""
@@ -42,7 +44,11 @@ class Progress:
 
         shape = "{desc:>14} {bar:30} {n_fmt} of {total_fmt} stages, {elapsed}"
         with tqdm(total=self._stages, bar_format=shape, file=sys.stderr, leave=False) as bar:
+            told = False
             bar.start_t -= time.monotonic() - self._begin
             while not self._stop.wait(0.2):
                 bar.n = min(self._done, self._stages)
+                if not told and getattr(sys.modules.get("grindvision.kernels"), "compiled", 0):
+                    told = True
+                    bar.write(COMPILING, file=sys.stderr)
                 bar.set_description_str(f"{self._name} done" if self._name else "")
