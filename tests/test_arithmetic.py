@@ -71,7 +71,7 @@ class Instruments:
     def moved(self, register):
         def registered(*arguments):
             if self.rng is not None:
-                arguments = [moved(a, self.rng) if np.shape(a)[1:] == (3,) else a for a in arguments]
+                return register(*(moved(a, self.rng) if np.shape(a)[1:] == (3,) else a for a in arguments))
             return register(*arguments)
 
         return registered
@@ -80,8 +80,8 @@ class Instruments:
         if self.rng is None:
             return Measurements(q_rad, scanner_mm, tracker_mm, sphere=sphere)
         order = self.rng.permutation(len(q_rad))
-        columns = [nudged(one[order], self.rng) for one in (q_rad, scanner_mm, tracker_mm)]
-        return Measurements(*columns, sphere=sphere[order])
+        q_rad, scanner_mm, tracker_mm = (nudged(one[order], self.rng) for one in (q_rad, scanner_mm, tracker_mm))
+        return Measurements(q_rad, scanner_mm, tracker_mm, sphere=sphere[order])
 
     def numbers(self, cell, again):
         """Every number of one cell of the study; None where it is refused."""

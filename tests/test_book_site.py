@@ -17,6 +17,7 @@ from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened,
 from grindvision_book.site.scenes import SCENES
 from tests.built_site import SAID, Page
 
+
 @pytest.fixture(scope="module")
 def pages(whole_site) -> dict[str, Page]:
     found = (path for path in whole_site.rglob("*.html") if "_static" not in path.parts)

@@ -18,6 +18,7 @@ from grindvision_book.chapter_08.compound import (
 )
 from grindvision_book.chapter_09.limits import displacement
 
+
 @pytest.fixture(scope="module")
 def paths():
     return compound_paths(np.random.default_rng(1))

@@ -6,10 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from grindvision import caches
+from grindvision.clouds import write_ply
 from grindvision.kernels import sources_of
+from tests.grinding_scene import arc_bead, pair
+from tests.groove_scenes import straight_groove
 
 #: Root obeys no rights, unless it gives that up.
 UNPRIVILEGED = ["setpriv", "--bounding-set=-all"] if os.name == "posix" and os.getuid() == 0 else []
@@ -70,6 +74,26 @@ def test_nothing_stale_and_nothing_damaged_is_used(package):
     os.utime(package / "callee.py", (time, time))
     assert _twice(package) == (18, 2)
     assert len(list((package / "__pycache__" / "kernels").iterdir())) == 2  # what nothing asks for any more is gone
+
+
+USE = """
+from grindvision import kernels
+from grindvision.cli import main
+assert main(["compile"]) == 0
+before = kernels.compiled
+for door in ("detect s.ply t.ply", "groove g.ply", "groove g.ply --variant paper"):
+    assert main([*door.split(), "-o", "out"]) == 0
+assert kernels.compiled == before, "compiled by a tool, not beforehand"
+"""
+
+
+def test_after_compile_no_tool_compiles(tmp_path):
+    scene = pair(seed=3, n_points=30_000, beads=[arc_bead()])
+    clouds = {"s": scene.sample, "t": scene.test, "g": straight_groove(np.random.default_rng(1))[0]}
+    for name, points in clouds.items():
+        write_ply(tmp_path / f"{name}.ply", points)
+    run = subprocess.run([sys.executable, "-c", USE], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def test_another_cache_folder_may_be_asked_for(package, tmp_path):

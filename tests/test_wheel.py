@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grindvision import __version__
+from grindvision import __version__, kernels
 from grindvision.arm import write_arm
 from grindvision.clouds import write_ply
 from tests.calibration_rig import as_table, er3a, rig
@@ -91,12 +91,22 @@ def inputs(tmp_path_factory) -> Path:
     return folder
 
 
+def _kernels_of_here(folder: Path) -> Path:
+    """A cache of kernels that is this checkout's: the wheel's files are the same, and compiling takes long."""
+    place = folder / "compiled"
+    place.mkdir(exist_ok=True)
+    if not (place / "grindvision").exists():
+        kernels.folder().mkdir(parents=True, exist_ok=True)
+        (place / "grindvision").symlink_to(kernels.folder())
+    return place
+
+
 def _run(site: Path, folder: Path, hidden: list[str], commands: list[list[str]]) -> list[tuple[int, str]]:
     environment = {name: value for name, value in os.environ.items() if name not in ("GRINDVISION_DATA", "PYTHONPATH")}
     run = subprocess.run(
         [sys.executable, "-c", RUNNER, json.dumps(hidden), json.dumps(commands)],
         cwd=folder,
-        env=environment | {"PYTHONPATH": str(site)},
+        env=environment | {"PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(_kernels_of_here(site.parent))},
         capture_output=True,
         text=True,
     )

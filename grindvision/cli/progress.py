@@ -48,7 +48,8 @@ class Progress:
             bar.start_t -= time.monotonic() - self._begin
             while not self._stop.wait(0.2):
                 bar.n = min(self._done, self._stages)
-                if not told and getattr(sys.modules.get("grindvision.kernels"), "compiled", 0):
+                kernels = sys.modules.get("grindvision.kernels")
+                if not told and kernels is not None and kernels.compiled:
                     told = True
                     bar.write(COMPILING, file=sys.stderr)
                 bar.set_description_str(f"{self._name} done" if self._name else "")
