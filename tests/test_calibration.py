@@ -234,3 +234,20 @@ def test_a_moving_of_base_and_arm_together_cancels(rng):
         T_tracker_base=result.cell.T_tracker_base @ inverse(rigid(translation_mm=[0, 0, shift])),
     )
     assert np.abs(made.errors_mm(shifted) - made.errors_mm(result.cell)).max() < 1e-9
+
+
+def test_a_seed_reaches_the_starts_and_changes_nothing_that_is_determined(monkeypatch):
+    made = rig(er3a(), np.random.default_rng(3), test=12)
+    seeds = []
+    make = np.random.default_rng
+
+    def noted(seed=None):
+        seeds.append(seed)
+        return make(seed)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np.random, "default_rng", noted)
+        found = calibrate(made.measurements, er3a(), Options(beyond_geometry=True, seed=7))
+    assert set(seeds) == {7}
+    same = calibrate(made.measurements, er3a(), Options(beyond_geometry=True))
+    assert np.allclose(found.cell.T_joint_scanner, same.cell.T_joint_scanner, atol=1e-6)

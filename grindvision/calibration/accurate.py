@@ -68,6 +68,7 @@ class Options:
     ``diagnose``: look for structure in the residuals.
     ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no
     priors, generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
+    ``seed`` of the random subsets that are tried as starts, and of the poses that are held out together.
     """
 
     base_fixed: bool = False
@@ -82,6 +83,7 @@ class Options:
     diagnose: bool = True
     variant: str = "ours"
     tolerance: float = 1e-6
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.variant not in ("ours", "paper"):
@@ -229,7 +231,7 @@ def calibrate(
     warnings = list(check_measurements(measurements, arm, len(unknowns)))
     fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
     training = measurements.rows(fitted).with_known_distances()
-    coarse = start or coarse_start(training, arm, options.base_fixed).cell
+    coarse = start or coarse_start(training, arm, options.base_fixed, options.seed).cell
     if options.variant == "paper":
         fit = _linear_step(coarse, unknowns, training, options.tolerance)
     else:
@@ -240,7 +242,7 @@ def calibrate(
     if measurements.fixtures:
         fit = replace(fit, cell=place_unseen_fixtures(fit.cell, measurements, training))
         coarse = place_unseen_fixtures(coarse, measurements, training)
-    warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed)
+    warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed, options.seed)
     if not fit.kept.all() and options.variant != "paper" and fit.kept.mean() > 0.5:
         warnings += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
     if not fit.converged:
@@ -263,7 +265,7 @@ def calibrate(
             warnings += sentences_of(findings)
         if options.beyond_geometry and unknowns.table:
             kinds = kinds_of_terms(arm, used.q_rad, options.down, options.gear_ratios)
-            beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds)
+            beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds, options.seed)
     rows = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
     return Calibration(
         fit.cell,

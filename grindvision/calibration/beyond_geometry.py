@@ -74,6 +74,7 @@ def choose_terms(
     used: Measurements,
     sigmas: Sigmas,
     kinds: dict[str, tuple[JointTerm, ...]],
+    seed: int = 0,
 ) -> BeyondGeometry | None:
     """Fit every kind of terms on part of the poses, score it on the others, and return the best; None: geometry alone.
 
@@ -82,6 +83,7 @@ def choose_terms(
         nominal: the arm as its maker has it.
         used: the training rows that the fit kept.
         kinds: see ``kinds_of_terms``.
+        seed: chooses which poses are held out together.
     """
     rows = used
     if len(rows) > MAX_ROWS:
@@ -90,7 +92,7 @@ def choose_terms(
     poses, number = np.unique(rows.pose, return_inverse=True)
     if len(poses) < max(2 * FOLDS, 12) or rows.equations < 1.5 * len(unknowns):
         return None
-    fold_of_pose = np.random.default_rng(0).permutation(len(poses)) % FOLDS
+    fold_of_pose = np.random.default_rng(seed).permutation(len(poses)) % FOLDS
     fold = fold_of_pose[number]
     every: dict[str, tuple[JointTerm, ...]] = {"geometry alone": (), **kinds}
     squares: dict[str, Floats] = {}

@@ -61,11 +61,12 @@ def three_point(arm: MdhArm, q_rad: ArrayLike, scanner_mm: ArrayLike, base_mm: A
 
 
 def best_fit(
-    measurements: Measurements, arm: MdhArm, base_fixed: bool = False, robust: bool = True
+    measurements: Measurements, arm: MdhArm, base_fixed: bool = False, robust: bool = True, seed: int = 0
 ) -> CoarseCalibration:
     """Scanner's place (and, unless ``base_fixed``, the tracker's) that fits all measurements best, the arm as it is.
 
-    A linear least squares start, then Gauss-Newton; ``robust`` keeps a few wrong rows from mattering.
+    A linear least squares start, then Gauss-Newton; ``robust`` keeps a few wrong rows from mattering, ``seed``
+    chooses the subsets that are tried as starts.
 
     Raises:
         DegenerateError: too few measurements, or spheres on one line (with the angle).
@@ -80,7 +81,7 @@ def best_fit(
         _refuse_line(measurements.scanner_mm, "scanner")
     unknowns = Unknowns(scanner, (), 0 if base_fixed else 6)
     sigmas = Sigmas(1.0, 0.0, 1.0, 1.0)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     starts = [fixed_base_start(measurements, arm, rng)] if base_fixed else free_base_starts(measurements, arm, rng)
     best, smallest = None, np.inf
     for start in starts:
@@ -110,17 +111,17 @@ def _touching_fit(measurements: Measurements, arm: MdhArm, base_fixed: bool, rob
     return CoarseCalibration(best, _rms(residuals_of(best, measurements)))
 
 
-def coarse_start(measurements: Measurements, arm: MdhArm, base_fixed: bool = False) -> CoarseCalibration:
+def coarse_start(measurements: Measurements, arm: MdhArm, base_fixed: bool = False, seed: int = 0) -> CoarseCalibration:
     """Coarse calibration to start from: the tracker's frame taken as the base where that is plausible, else both free.
 
     Plausible means that the nominal arm then leaves at most ``PLAUSIBLE_MM`` in the median.
     """
     if not measurements.tracked.any():
-        return best_fit(measurements, arm, base_fixed=True)
-    taken = best_fit(measurements, arm, base_fixed=True)
+        return best_fit(measurements, arm, base_fixed=True, seed=seed)
+    taken = best_fit(measurements, arm, base_fixed=True, seed=seed)
     if base_fixed or median_error(taken.cell, measurements) <= PLAUSIBLE_MM:
         return taken
-    return best_fit(measurements, arm)
+    return best_fit(measurements, arm, seed=seed)
 
 
 def _workpiece_frame(points: Floats, name: str) -> Floats:

@@ -39,6 +39,7 @@ def check_fit(
     fitted: NDArray[np.int64],
     kept: Flags,
     base_fixed: bool,
+    seed: int = 0,
 ) -> list[str]:
     """Look at a fit that leaves, drops or moves too much, find the reason, and return what stays unexplained in words.
 
@@ -62,7 +63,7 @@ def check_fit(
     if typical <= SUSPICIOUS_MM and kept.mean() <= 0.95:
         _refuse_shifted_pairing(cell, measurements, fitted, kept)
     if measurements.tracked.all():
-        _explain(measurements, fitted, coarse, base_fixed)
+        _explain(measurements, fitted, coarse, base_fixed, seed)
     reach = float(np.hypot(coarse.arm.table[:, 1], coarse.arm.table[:, 2]).sum())
     change = np.abs(cell.arm.table - coarse.arm.table)[:, 1:3]
     if change.max() > max(OTHER_ARM * reach, 4 * FAR_MM):
@@ -115,7 +116,9 @@ def _refuse_shifted_pairing(
             raise InputError(f"{mistake.reason}: then {then:.0%} of the rows agree instead of {agree:.0%}; mend it")
 
 
-def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: ScannerOnArm, base_fixed: bool) -> None:
+def _explain(
+    measurements: Measurements, fitted: NDArray[np.int64], coarse: ScannerOnArm, base_fixed: bool, seed: int
+) -> None:
     """Refuse with the mistakes, up to two at once, that explain the data best, if they explain them far better.
 
     Raises:
@@ -124,7 +127,7 @@ def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: Scan
 
     def errors(changed: Measurements, arm: MdhArm) -> Floats:
         try:
-            return closed_form_errors(changed.rows(fitted), arm, base_fixed)
+            return closed_form_errors(changed.rows(fitted), arm, base_fixed, seed)
         except GrindvisionError:
             return np.array([np.inf])
 
@@ -136,7 +139,7 @@ def _explain(measurements: Measurements, fitted: NDArray[np.int64], coarse: Scan
     for depth in range(MAX_MISTAKES):
         longer = []
         for _, chain, data, arm, _ in chains:
-            for mistake in mistakes(data, arm, fitted, single=depth == 0):
+            for mistake in mistakes(data, arm, fitted, single=depth == 0, seed=seed):
                 if mistake.reason in [earlier.reason for earlier in chain]:
                     continue
                 changed, other = mistake.change(data), mistake.arm or arm

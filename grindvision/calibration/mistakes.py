@@ -39,7 +39,9 @@ class Mistake:
     arm: MdhArm | None = None
 
 
-def mistakes(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64], single: bool) -> Iterator[Mistake]:
+def mistakes(
+    measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64], single: bool, seed: int = 0
+) -> Iterator[Mistake]:
     """Every mistake that is looked for; ``single``: those too that never come on top of another."""
     if single:
         yield from shifted_rows(measurements)
@@ -49,7 +51,7 @@ def mistakes(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64],
             InputError,
             arm=_from_standard(arm),
         )
-    yield from _other_units(measurements, arm, fitted)
+    yield from _other_units(measurements, arm, fitted, seed)
     yield from _joint_mistakes(measurements)
     for column, name in (("tracker_mm", "b"), ("scanner_mm", "s"))[: 1 if measurements.on_tool else 2]:
         yield Mistake(
@@ -96,9 +98,9 @@ def _in_metres(measurements: Measurements) -> Iterator[Mistake]:
             )
 
 
-def _other_units(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64]) -> Iterator[Mistake]:
+def _other_units(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64], seed: int) -> Iterator[Mistake]:
     """Lengths of the tracker, the scanner or the table that are all too large or too small by one factor."""
-    tracker, scanner = unit_factors(measurements.rows(fitted), arm)
+    tracker, scanner = unit_factors(measurements.rows(fitted), arm, seed)
     columns = [("tracker_mm", "bx_mm to bz_mm", tracker), ("scanner_mm", "sx_mm to sz_mm", scanner)]
     for column, names, found in columns:
         if np.isfinite(found) and found > 0 and abs(np.log(found)) > LEAST_FACTOR:

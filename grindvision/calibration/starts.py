@@ -25,9 +25,11 @@ def median_error(cell: ScannerOnArm, measurements: Measurements) -> float:
     return float(np.median(np.linalg.norm(residuals_of(cell, measurements), axis=1)))
 
 
-def closed_form_errors(measurements: Measurements, arm: MdhArm, base_fixed: bool, subsets: int = 16) -> Floats:
+def closed_form_errors(
+    measurements: Measurements, arm: MdhArm, base_fixed: bool, seed: int = 0, subsets: int = 16
+) -> Floats:
     """Errors (M,) in mm that the best closed-form start leaves: a quick look at whether measurements make sense."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     cells = [fixed_base_start(measurements, arm, rng)]
     if not base_fixed:
         cells.append(free_base_starts(measurements, arm, rng, subsets, blind=0)[0])
@@ -35,12 +37,12 @@ def closed_form_errors(measurements: Measurements, arm: MdhArm, base_fixed: bool
     return min(lengths, key=lambda found: float(np.median(found)))
 
 
-def unit_factors(measurements: Measurements, arm: MdhArm) -> tuple[float, float]:
+def unit_factors(measurements: Measurements, arm: MdhArm, seed: int = 0) -> tuple[float, float]:
     """By what the tracker's and the scanner's lengths must be multiplied to fit the arm's, from a linear solution.
 
     NaN for a reflector on the tool, which has no lengths of its own.
     """
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     rows = np.arange(len(measurements))
     subsets = [rows] + [rng.choice(rows, 14, replace=False) for _ in range(10) if len(rows) > 14]
     frames = forward(arm, measurements.q_rad)

@@ -158,6 +158,7 @@ def run(options: argparse.Namespace) -> int:
         beyond_geometry=options.beyond_geometry == "auto",
         gear_ratios=tuple(options.gear_ratios or ()),
         down=_unit_vector(options.down),
+        seed=options.seed,
     )
     with Run(options, ("measurements",), ("numpy", "scipy", "matplotlib"), 7, OUTDATED) as work:
         with work.stage("read"):
@@ -183,7 +184,7 @@ def run(options: argparse.Namespace) -> int:
             result, unseen = replace(result, beyond=None), replace(unseen, beyond_mm=None)
         with work.stage("trust"):
             box = None if options.box is None else np.reshape(options.box, (2, 3))
-            foreseen = calibration.foreseen_errors(result, np.random.default_rng(0), box)
+            foreseen = calibration.foreseen_errors(result, np.random.default_rng(options.seed), box)
             suggestion = None
             if options.suggest is not None:
                 rng = np.random.default_rng(options.seed)

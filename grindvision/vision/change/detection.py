@@ -128,7 +128,7 @@ def detect(
     found = register_pair(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
     difference = find_change(found.source, found.target, found.fine)
     clock.lap("difference")
-    against = diagnose(found.source, found.target, found.fine, difference)
+    against = diagnose(found.source, found.target, found.fine, difference, options.seed)
     try:
         beads = _follow(difference, options.points)
     except DegenerateError as error:

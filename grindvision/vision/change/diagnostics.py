@@ -27,15 +27,17 @@ MIN_OVERLAP = 0.35
 MAX_SCALE = 0.004
 
 
-def diagnose(source: Scan, target: Scan, registration: FineRegistration, difference: Difference) -> tuple[str, ...]:
+def diagnose(
+    source: Scan, target: Scan, registration: FineRegistration, difference: Difference, seed: int = 0
+) -> tuple[str, ...]:
     """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_target_source."""
-    found = [table] if (table := diagnose_table(source.voxels, target.voxels, NAMES)) else []
+    found = [table] if (table := diagnose_table(source.voxels, target.voxels, NAMES, seed)) else []
     if registration.overlap < MIN_OVERLAP:
         found.append(
             f"only {registration.overlap:.0%} of the test scan lies on the sample: the rest was compared with nothing,"
             " and so little hardly fixes the pose; scan with more overlap"
         )
-    scale, deviation = relative_scale(source, target, registration)
+    scale, deviation = relative_scale(source, target, registration, seed=seed)
     if abs(scale - 1) > max(MAX_SCALE, 5 * deviation):
         found.append(
             f"the test scan is {abs(scale - 1):.1%} {'larger' if scale > 1 else 'smaller'} than the sample: two"

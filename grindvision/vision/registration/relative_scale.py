@@ -23,16 +23,16 @@ AT_REST = 0.0002
 
 
 def relative_scale(
-    source: Scan, target: Scan, registration: FineRegistration, n_surfels: int = 2000, steps: int = 12
+    source: Scan, target: Scan, registration: FineRegistration, n_surfels: int = 2000, steps: int = 12, seed: int = 0
 ) -> tuple[float, float]:
     """How many times larger the source is than the target, and the standard deviation of that for errors
     that are alike over a quarter of the scan, as those of a scanner are; infinite where the surface does not tell.
 
     Point-to-plane steps for translation, rotation and scale from the registered pose, with Tukey's weights: beads do
-    not count.
+    not count. ``seed`` chooses the surfels that are looked at.
     """
     surface, transform = target.surfels, registration.T_target_source
-    chosen = random_order(source.surfels.grid.keys, np.random.default_rng(0))[:n_surfels]
+    chosen = random_order(source.surfels.grid.keys, np.random.default_rng(seed))[:n_surfels]
     places = move_points(transform, source.surfels.points[chosen])
     facing = rotate_vectors(transform, source.surfels.normals[chosen])
     scale, deviation = 1.0, np.inf
