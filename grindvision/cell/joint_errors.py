@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.arm import MdhArm, joint_transforms
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 
@@ -16,6 +17,7 @@ Floats = NDArray[np.float64]
 GRAVITY = 9.80665
 
 
+@by_content
 @dataclass(frozen=True)
 class JointErrors:
     """By how much every one of n joints leaves its commanded angle, as a function of all commanded angles.
