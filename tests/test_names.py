@@ -137,14 +137,13 @@ def test_every_command_has_a_function():
     from grindvision.cli import COMMANDS
 
     functions = {name: name.replace("-", "_") for name in COMMANDS} | {"groove": "trace_weld"}
-    assert all(
-        function in FUNCTIONS for name, function in functions.items() if name not in ("book", "study", "compile")
-    )
+    others = ("book", "study", "compile")
+    assert all(function in FUNCTIONS for name, function in functions.items() if name not in others)
 
 
 def test_no_draw_has_a_seed_of_its_own():
-    """Each comes from an argument, but for a quick look of the virtual cell, whose noise is not used, and the inputs that
-    kernels are compiled with, whose results are thrown away."""
+    """Each comes from an argument, but for a quick look of the virtual cell, whose noise is not used, and the inputs
+    that kernels are compiled with, whose results are thrown away."""
     fixed = re.compile(r"default_rng\(\s*\d*\s*\)|RandomState|np\.random\.(?!default_rng|Generator|SeedSequence)")
     package = Path(grindvision.__file__).parent
     found = {
