@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import AmbiguousError, DegenerateError, InputError
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points
 from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
@@ -21,6 +22,7 @@ from grindvision.vision.registration.pair_diagnostics import PairNames, check_sa
 from grindvision.vision.registration.plane_icp import icp_planes
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
 from grindvision.vision.surface.scan import Scan, choose_resolution, prepare_pair, reversed_scan
+from grindvision.vision.surface.stray_points import stray_points
 from grindvision.vision.surface.surfels import build_surfels
 
 Floats = NDArray[np.float64]
@@ -157,6 +159,7 @@ def register_pair(
     """``register`` with its draws from ``rng`` and ``names`` for the two scans in its messages."""
     source = check_points(source, f"{names.source} points", MIN_POINTS)
     target = check_points(target, f"{names.target} points", MIN_POINTS)
+    source, target = (without_strays(*one) for one in ((source, names.source), (target, names.target)))
     check_same_unit(source, target, names)
     try:
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
@@ -178,6 +181,28 @@ def register_pair(
     fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
+
+
+def without_strays(points: Floats, name: str) -> Floats:
+    """Points (N, 3) of a scan less those that lie alone (``stray_points``).
+
+    Warns:
+        GrindvisionWarning: how many were left out, and where the farthest lies.
+    """
+    stray = stray_points(points)
+    if not stray.any():
+        return points
+    kept = points[~stray]
+    middle = kept.mean(axis=0)
+    away = np.linalg.norm(points[stray] - middle, axis=1)
+    x, y, z = points[stray][np.argmax(away)]
+    warnings.warn(
+        f"{name}: {stray.sum()} point(s) lie alone, the farthest at ({x:.4g}, {y:.4g}, {z:.4g}) mm, {away.max():.4g} mm"
+        " from the middle of the rest, and were left out",
+        GrindvisionWarning,
+        stacklevel=2,
+    )
+    return kept
 
 
 def propose(source: Scan, target: Scan, rng: np.random.Generator) -> tuple[Scan, Floats]:

@@ -21,6 +21,9 @@ COS_EDGE_ON = float(np.cos(np.radians(75)))
 MAX_HIDDEN = 0.25
 """Seen from its scanner, at most this fraction of a scan's points lies over or under others of it."""
 
+DEEP_HIDDEN = 0.1
+"""A scan of which so much is hidden from the best side is deep enough to tell by its rays where its scanner stood."""
+
 GLANCE_POINTS = 2000
 """So many points show well enough from where a cloud is seen at one glance."""
 
@@ -88,6 +91,19 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
         cell_mm: cell edge, some point distances.
     """
     points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
+    direction, hidden = _best_glance(points, normals, cell_mm, directions)
+    if hidden > MAX_HIDDEN:
+        return None
+    away = points - points.mean(axis=0)
+    facing_normals = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
+    bulge = float((facing_normals * away).sum())
+    nearly_flat = abs(bulge) <= 0.1 * np.linalg.norm(away, axis=1).sum()
+    return direction if (facing_normals[:, 2].sum() if nearly_flat else bulge) >= 0 else -direction
+
+
+def _best_glance(points: Floats, normals: Floats, cell_mm: float, directions: int) -> tuple[Floats, float]:
+    """Of many directions (3,) the one along which points (N, 3) cover most cells, of either sign, and the fraction of
+    points that is hidden there (``_hidden``)."""
     away = points - points.mean(axis=0)
     height = (np.arange(directions) + 0.5) / directions
     azimuth = np.pi * (1 + np.sqrt(5)) * np.arange(directions)
@@ -95,21 +111,29 @@ def seen_along(points: ArrayLike, normals: ArrayLike, cell_mm: float, directions
     half_sphere = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height])
     direction = half_sphere[np.argmax(_covered_cells(away, half_sphere, float(cell_mm)))]
     across = np.linalg.svd(direction[None])[2][1:]
-    _, cell = np.unique(np.floor(away @ across.T / cell_mm) @ [1 << 24, 1], return_inverse=True)
-    depth = away @ direction
-    facing = np.abs(normals @ direction)
+    return direction, _hidden(away @ across.T / cell_mm, away @ direction, np.abs(normals @ direction), cell_mm)
+
+
+def _hidden(cells: Floats, depth: Floats, facing: Floats, cell_mm: float) -> float:
+    """Fraction of points that lie over or under others: in one cell of ``cells`` (N, 2), rounded down, but at another
+    ``depth`` (N,) than the surface's steepness, by the cosines ``facing`` (N,) of its normals, explains."""
+    _, cell = np.unique(np.floor(cells) @ [1 << 24, 1], return_inverse=True)
     steepness = np.sqrt(1 - np.minimum(facing, 1) ** 2) / np.maximum(facing, 1e-3)
-    hidden = np.zeros(len(points), dtype=bool)
+    hidden = np.zeros(len(depth), dtype=bool)
     for order in (np.lexsort((depth, cell)), np.lexsort((-depth, cell))):
         end = order[np.searchsorted(cell[order], np.arange(cell.max() + 1))][cell]
         explained = cell_mm * (0.6 + 1.2 * np.maximum(steepness, steepness[end]))
         hidden |= np.abs(depth - depth[end]) > explained
-    if hidden.mean() > MAX_HIDDEN:
-        return None
-    facing_normals = normals * np.where(normals @ direction < 0, -1, 1)[:, None]
-    bulge = float((facing_normals * away).sum())
-    nearly_flat = abs(bulge) <= 0.1 * np.linalg.norm(away, axis=1).sum()
-    return direction if (facing_normals[:, 2].sum() if nearly_flat else bulge) >= 0 else -direction
+    return float(hidden.mean())
+
+
+def _hidden_from_origin(points: Floats, normals: Floats, cell_mm: float) -> float:
+    """``_hidden`` of points (N, 3) along their rays from the origin, in cells of that edge at their middle."""
+    middle = points.mean(axis=0)
+    distance = float(np.linalg.norm(middle))
+    across, lengths = np.linalg.svd(middle[None])[2][1:], np.linalg.norm(points, axis=1)
+    cells = points @ across.T / (points @ middle / distance)[:, None] * distance / cell_mm
+    return _hidden(cells, lengths, np.abs((points * normals).sum(axis=1)) / lengths, cell_mm)
 
 
 def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floats | None:
@@ -132,8 +156,13 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
         towards = -(places * facing).sum(axis=1)
         if np.median(np.abs(towards) / np.linalg.norm(places, axis=1)) < COS_EDGE_ON:
             return None
-        direction = seen_along(places, facing, 1.5 * float(np.linalg.norm(high - low)) / np.sqrt(len(places)), 100)
-        if direction is None or abs(np.mean(np.sign(towards * (facing @ direction)))) < MIN_AGREEING:
+        cell_mm = 1.5 * float(np.linalg.norm(high - low)) / np.sqrt(len(places))
+        direction, hidden = _best_glance(places, facing, cell_mm, 100)
+        # steep walls may well face the scanner and not the direction, and count as little as is seen of them
+        sights = towards / np.linalg.norm(places, axis=1) * (facing @ direction)
+        one_side = hidden <= MAX_HIDDEN and abs(sights.sum()) >= MIN_AGREEING * np.abs(sights).sum()
+        # of a deep part the rays tell more: nowhere is much less hidden than from its scanner
+        if not one_side and (hidden < DEEP_HIDDEN or _hidden_from_origin(places, facing, cell_mm) > 1.3 * hidden):
             return None
     return np.zeros(3)
 
