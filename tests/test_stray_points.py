@@ -15,7 +15,7 @@ def case():
     return pair(seed=5, n_points=12_000, beads=[arc_bead()])
 
 
-STRAYS = {
+STRAYS: dict[str, list[list[float]]] = {
     "a pixel without depth": [[0.0, 0, 0]],
     "beside the scanner": [[3.0, -2, 20]],
     "far behind": [[0.0, 0, 5000], [1e6, 0, 0]],
@@ -40,9 +40,10 @@ def test_no_point_of_a_scan_is_stray_nor_a_second_part(case):
 
 @pytest.mark.parametrize("name", ["a pixel without depth", "some of everything"])
 def test_stray_points_change_no_result_and_are_said(case, name):
+    strays = np.array(STRAYS[name])
     plain = detect(case.sample, case.test)
     with pytest.warns(GrindvisionWarning, match="lie alone"):
-        found = detect(np.vstack([case.sample, STRAYS[name]]), np.vstack([STRAYS[name], case.test]))
+        found = detect(np.vstack([case.sample, strays]), np.vstack([strays, case.test]))
     np.testing.assert_allclose(found.T_sample_test, plain.T_sample_test, atol=1e-9)
     np.testing.assert_allclose(found.path_points, plain.path_points, atol=1e-9)
 
