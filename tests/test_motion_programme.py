@@ -11,7 +11,7 @@ from grindvision.arm import forward, read_arm
 from grindvision.errors import FileError, InputError
 from grindvision.geometry import vector_angle
 from grindvision.motion import PlanMotionOptions, plan_motion, urscript, write_programme
-from grindvision.motion.programme import _blends
+from grindvision.motion.programme import blend_radii
 from tests.motion_scene import ER3A_TABLE, distance, grinder, ring, s_trajectory, ur3_flange_mm, welder
 
 #: How near a programme read back must come to the trajectory.
@@ -164,11 +164,11 @@ def test_nothing_is_left_of_a_programme_that_cannot_be_written(grinding, tmp_pat
 
 def test_a_blend_cuts_off_a_fiftieth_of_a_millimetre_and_leaves_half_of_every_piece(rng):
     points = np.cumsum(rng.normal(size=(60, 3)) * 10 ** rng.uniform(-2, 1.5, (60, 1)), axis=0)
-    blends, lengths = _blends(points), np.linalg.norm(np.diff(points, axis=0), axis=1)
+    blends, lengths = blend_radii(points), np.linalg.norm(np.diff(points, axis=0), axis=1)
     inner, corners = blends[1:-1], vector_angle(np.diff(points[1:], axis=0), np.diff(points[:-1], axis=0))
     cut_off, room = inner * np.tan(corners / 4), np.minimum(lengths[1:], lengths[:-1]) / 4
     assert blends[0] == blends[-1] == 0 and (inner > 0).all() and inner.max() <= 1.001
     assert cut_off.max() == pytest.approx(0.02) and (inner / room).max() == pytest.approx(1.0)
     assert (np.isclose(cut_off, 0.02) | np.isclose(inner, room)).all()
-    straight = _blends(np.outer(np.arange(5.0), [10.0, 0.0, 0.0]))
+    straight = blend_radii(np.outer(np.arange(5.0), [10.0, 0.0, 0.0]))
     np.testing.assert_allclose(straight[1:-1], 1.0, rtol=1e-3)

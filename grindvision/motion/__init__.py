@@ -14,10 +14,13 @@ _HOMES = {
     "plan": ("Motion", "PlanMotionOptions", "plan_motion"),
     "programme": ("SUFFIXES", "UR_JOINTS", "csv_text", "json_content", "urscript", "write_programme"),
     "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
-    "robot_files": ("LoadRobotOptions", "load_robot"),
+    "placement": ("Placement", "placements"),
+    "robot_files": ("KnownRobot", "LoadRobotOptions", "known_robots", "load_robot"),
+    "programme_steps": ("ArcOptions", "RobotProgramme", "RobotProgrammeOptions", "robot_programme"),
     "sender": ("UR_PORT", "Delivery", "announcement", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),
     "tool": ("Tool", "grinding_spindle", "welding_torch"),
+    "writers": ("LANGUAGES", "programme_files"),
     "trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -105,7 +105,7 @@ def urscript(motion: Motion) -> str:
     poses = [_ur_pose(robot.T_controller_base @ pose) for pose in motion.path.T_base_tool]
     away = _ur_pose(robot.T_controller_base @ robot.forward(motion.q_retreat_rad))
     arc = motion.trajectory.arc_mm
-    blends_mm = _blends(motion.path.T_base_tool[:, :3, 3])
+    blends_mm = blend_radii(motion.path.T_base_tool[:, :3, 3])
     angles = ", ".join(f"{angle:.9f}" for angle in motion.q_approach_rad)
     lines = [
         "def follow_seam():",
@@ -122,7 +122,7 @@ def urscript(motion: Motion) -> str:
     return "\n".join(lines)
 
 
-def _blends(points: Floats) -> Floats:
+def blend_radii(points: Floats) -> Floats:
     """Blend radius (N,) in mm at each of N points, at most 1: there the tool rounds the corner, cutting off 0.02 mm."""
     steps = np.diff(points, axis=0)
     turns = vector_angle(steps[1:], steps[:-1])

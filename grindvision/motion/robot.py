@@ -174,8 +174,20 @@ def urdf_robot(
     return _with_tool(metres.name, model, bodies, tool, limits, flange, T_controller_base)
 
 
-def mdh_robot(name: str, arm: MdhArm, tool: Tool, limits: JointLimits, link_radius_mm: float = 50.0) -> Robot:
-    """Robot from an MDH table: flange at the last joint frame, every link a capsule from joint to joint.
+def mdh_robot(
+    name: str,
+    arm: MdhArm,
+    tool: Tool,
+    limits: JointLimits,
+    link_radius_mm: float = 50.0,
+    *,
+    T_last_flange: ArrayLike | None = None,
+    T_controller_base: ArrayLike | None = None,
+) -> Robot:
+    """Robot from an MDH table, every link a capsule from joint to joint.
+
+    The flange is the last joint's frame, or stands ``T_last_flange`` (4, 4) from it, where an axis points back into the
+    arm; ``T_controller_base`` (4, 4) where the controller counts from another base.
 
     Raises:
         InputError: the limits are for another number of joints.
@@ -191,7 +203,14 @@ def mdh_robot(name: str, arm: MdhArm, tool: Tool, limits: JointLimits, link_radi
         if np.linalg.norm(link) > 1.0:
             body = f"link {joint - 1}" if joint > 1 else "base"
             bodies.addGeometryObject(_capsule(body, joint - 1, np.zeros(3), link, link_radius_mm))
-    return _with_tool(name, model, bodies, tool, limits, arm.joints[-1], np.eye(4))
+    flange = arm.joints[-1]
+    if T_last_flange is not None:
+        flange, placement = "flange", pin.SE3(check_rigid(T_last_flange, "T_last_flange"))
+        model.addFrame(pin.Frame(flange, arm.n, placement, pin.FrameType.OP_FRAME))
+        if np.linalg.norm(placement.translation) > 1.0:
+            bodies.addGeometryObject(_capsule("wrist", arm.n, np.zeros(3), placement.translation, link_radius_mm / 2))
+    T_controller = np.eye(4) if T_controller_base is None else check_rigid(T_controller_base, "T_controller_base")
+    return _with_tool(name, model, bodies, tool, limits, flange, T_controller)
 
 
 def _with_tool(
