@@ -217,3 +217,17 @@ def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, 
         code, _, error = run(capsys, tmp_path / sample, tmp_path / test, *words, *option, "-o", tmp_path / "none")
         assert code == 2 and said in error and error.count("\n") == 1
         assert not (tmp_path / "none").exists()
+
+
+def test_a_height_that_the_pair_cannot_show_ends_with_three(tmp_path, capsys):
+    one = pair(seed=4, n_points=12_000)
+    write_ply(tmp_path / "good.ply", one.sample)
+    write_ply(tmp_path / "test.ply", one.test)
+    words = ["detect", str(tmp_path / "good.ply"), str(tmp_path / "test.ply"), "--require-height"]
+    assert main([*words, "2", "-o", str(tmp_path / "high")]) == 0
+    assert main([*words, "0.01", "-o", str(tmp_path / "low")]) == 3
+    assert "would not be told on" in capsys.readouterr().err
+    report = json.loads((tmp_path / "low" / "report.json").read_text())
+    assert report["coverage"]["test"]["fraction"] > 0.9
+    assert report["coverage"]["least_height_mm"]["median"] > 0.01
+    assert main([*words, "-1", "-o", str(tmp_path / "none")]) == 2

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.parameters import check_count, whole
+from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
@@ -30,8 +31,12 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
+    from grindvision.vision.change.coverage import Coverage
     from grindvision.vision.change.detection import Detection
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
+
+ENOUGH_SHOWN = 0.8
+"""Fraction of the test scan on which ``--require-height`` must be met: its rim has nothing to compare with."""
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -43,7 +48,8 @@ results in DIR:
   report.png       did it work? the scans before and after, the difference, the path
   report.json      T_sample_test, confidence, beads, timings, versions, parameters, questions; written last
 
-exit code: 0 done (also when there is nothing to grind), 2 the input cannot be used (one line says why), 1 anything else
+exit code: 0 done (also when there is nothing to grind), 3 done, but the pair cannot show the --require-height,
+2 the input cannot be used (one line says why), 1 anything else
 
 examples:
   grindvision detect good.ply test.ply -o result
@@ -83,6 +89,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     path = parser.add_argument_group("path")
     path.add_argument("--points", type=whole, default=6, metavar="N", help="path points per bead (default: 6)")
     path.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
+    path.add_argument(
+        "--require-height",
+        type=number,
+        metavar="MM",
+        help="end with exit code 3, and say where, unless a bead of this height would be told on at least"
+        f" {ENOUGH_SHOWN:.0%} of the test scan",
+    )
     add_output_arguments(parser)
 
 
@@ -90,6 +103,8 @@ def run(options: argparse.Namespace) -> int:
     """Run it."""
     check_count("--points", options.points, 1, 100_000)
     check_count("--seed", options.seed, 0, 10**18)
+    if options.require_height is not None and not 0 < options.require_height < 1e6:
+        raise InputError(f"--require-height is {options.require_height}; give a height in mm above zero")
     if options.mirrored is None and options.mirrored_only is not None:
         raise InputError("--mirrored-only says which cloud --mirrored is for; give --mirrored as well, or leave it out")
 
@@ -114,6 +129,9 @@ def run(options: argparse.Namespace) -> int:
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
         found = detect(sample, test, settings, work.finished)
+        lacking = _lacking_height(found, options.require_height)
+        if lacking:
+            warnings.warn(lacking, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
             write_text(work.place / "path.csv", rows_text(PATH_COLUMNS, found.path_points, found.path_normals))
             if T_base_scanner is not None:
@@ -128,7 +146,23 @@ def run(options: argparse.Namespace) -> int:
             questions.append(where_it_stood(T_base_scanner))
         values = _from_the_data(options, clouds[0], found)
         work.report(str(found), _results(found), values, found.timings_s, questions=questions)
-    return 0
+    return 3 if lacking else 0
+
+
+def _lacking_height(found: Detection, height_mm: float | None) -> str:
+    """In words, where the pair cannot show a bead of the height asked for; empty where it can, or none is asked for."""
+    if height_mm is None:
+        return ""
+    from grindvision.vision.change.coverage import cannot_show
+
+    blind, places = cannot_show(found.difference, height_mm)
+    if blind <= 1 - ENOUGH_SHOWN:
+        return ""
+    where = f", the largest place {places[0]}" if places else ""
+    return (
+        f"a bead of {height_mm:g} mm (--require-height) would not be told on {blind:.0%} of the test scan{where}; scan"
+        " nearer, with less noise, or from where both scans show the surface"
+    )
 
 
 def _mirrored(options: argparse.Namespace) -> list[str | None]:
@@ -145,6 +179,7 @@ def _results(found: Detection) -> dict[str, Any]:
         "confidence": found.confidence,
         "covariance": registration.total_covariance,
         "level_of_detection_mm": found.difference.level_of_detection_mm,
+        "coverage": _coverage(found.coverage),
         "beads": [
             {
                 "points": len(bead.points),
@@ -155,6 +190,27 @@ def _results(found: Detection) -> dict[str, Any]:
             }
             for bead in found.beads
         ],
+    }
+
+
+def _coverage(coverage: Coverage) -> dict[str, Any]:
+    """What was compared and what could be seen there; lengths in mm, places in the scanner frame of TEST."""
+    sides = (
+        ("test", coverage.test_fraction, coverage.test_missed_mm2, coverage.test_missed),
+        ("sample", coverage.sample_fraction, coverage.sample_missed_mm2, coverage.sample_missed),
+    )
+    heights = {"median": coverage.height_mm, "on_95_percent": coverage.height_95_mm}
+    return {
+        **{
+            name: {
+                "fraction": fraction,
+                "not_compared_mm2": area_mm2,
+                "places": [{"middle_mm": place.middle_mm, "area_mm2": place.area_mm2} for place in places],
+            }
+            for name, fraction, area_mm2, places in sides
+        },
+        "least_height_mm": {name: height if height < math.inf else None for name, height in heights.items()},
+        "least_width_mm": coverage.width_mm,
     }
 
 

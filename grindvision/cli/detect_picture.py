@@ -84,7 +84,7 @@ def _dots(axes: Axes, view: _View, points: np.ndarray, colour: str, label: str) 
 def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
     difference = found.difference
     limit = max(4 * difference.level_of_detection_mm, *(cluster.peak_mm for cluster in difference.clusters), 0)
-    shown = np.isfinite(difference.signed_mm)
+    shown = difference.comparable & np.isfinite(difference.signed_mm)
     axes.plot(*view(difference.surfels[~shown]).T, ".", ms=1.6, mew=0, color=GREY)
     across, up = view(difference.surfels[shown]).T
     colours = axes.scatter(
@@ -98,9 +98,7 @@ def _draw_difference(axes: Axes, view: _View, found: Detection) -> None:
         vmax=limit,
     )
     axes.figure.colorbar(colours, ax=axes, label="above the good surface, mm", shrink=0.8)
-    axes.set_title(
-        f"difference; seen above {difference.level_of_detection_mm:.2f} mm, grey: nothing to compare with", fontsize=11
-    )
+    axes.set_title(f"difference; seen above {difference.level_of_detection_mm:.2f} mm, grey: not compared", fontsize=11)
 
 
 def _draw_path(axes: Axes, view: _View, found: Detection) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, rotate_vectors
 from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
-from grindvision.geometry.neighbours import nearest
+from grindvision.geometry.neighbours import nearest, within_radius
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -35,6 +35,10 @@ Flags = NDArray[np.bool_]
 
 MAX_CHANGED = 0.4
 """Fraction of the common surface that may differ; above, the test scan shows another part."""
+
+LEAST_LEVELS = 4.0
+"""A bead is told when it stands twice the firm level out over enough surfels; the mean of a cell is lower than its
+ridge."""
 
 MIN_FOOTPRINT = 0.4
 """A piece whose feet cover fewer cells of the good surface than this fraction of its own is a wall seen in one scan."""
@@ -69,7 +73,9 @@ class Difference:
 
     ``clusters``, largest volume first; ``surfels`` (M, 3) of the test scan with ``signed_mm`` (M,) along the normal,
     positive where the test part stands out, NaN where the sample shows nothing to compare with; ``level_mm`` (M,) level
-    of detection; ``level_of_detection_mm`` its median.
+    of detection; ``level_of_detection_mm`` its median; ``firm_level_mm`` (M,) the level without the roughness that only
+    the test part has; ``comparable`` (M,) where a bead would be told: the sample shows its surface all around;
+    ``cell_mm`` the surfels' size.
     """
 
     clusters: tuple[Cluster, ...]
@@ -77,6 +83,19 @@ class Difference:
     signed_mm: Floats
     level_mm: Floats
     level_of_detection_mm: float
+    firm_level_mm: Floats
+    comparable: Flags
+    cell_mm: float
+
+    @property
+    def least_height_mm(self) -> Floats:
+        """Height (M,) in mm from which a bead is certain to be told at each surfel; infinite where nothing would be."""
+        return np.where(self.comparable, LEAST_LEVELS * self.firm_level_mm, np.inf)
+
+    @property
+    def least_width_mm(self) -> float:
+        """Width in mm from which a bead of the least height is told: narrower ones are averaged with what is beside."""
+        return 3 * self.cell_mm
 
     @property
     def compared(self) -> float:
@@ -146,15 +165,19 @@ def find_change(source: Scan, target: Scan, registration: FineRegistration, min_
     if far.any():
         signed[far], normals[far] = _far_distances(target, back, surfels.points[far], size)
     excess = np.sqrt(np.maximum(surfels.roughness_mm**2 - surfels.noise_mm**2, 0))
-    variance = variance + surfels.noise_mm**2 / surfels.counts + (0.5 * excess) ** 2
+    noise = variance + surfels.noise_mm**2 / surfels.counts
+    variance = noise + (0.5 * excess) ** 2
     shown = ~np.isnan(signed)
     if shown.sum() < 10:
         raise DegenerateError("after registration the scans share no surface; scan the part from nearer views")
     sigma = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
     field = max(sigma**2 - np.median(variance[shown]), 0.0)
-    variance = variance + _pose_variance(registration, surfels.points, normals)
+    pose = _pose_variance(registration, surfels.points, normals)
     # no spot is trusted better than the scans agree over all
-    level = 1.96 * np.sqrt(np.maximum(variance + field, sigma**2))
+    level = 1.96 * np.sqrt(np.maximum(variance + pose + field, sigma**2))
+    # a bead is rough itself; only what is rough on both parts, edges and corners, is no sign of one
+    shared = np.minimum(excess, _excess_below(surface, surfels.points, signed, normals))
+    firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, sigma**2))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
     if changed.sum() > MAX_CHANGED * shown.sum():
         raise DegenerateError(
@@ -162,15 +185,25 @@ def find_change(source: Scan, target: Scan, registration: FineRegistration, min_
             f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
         )
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
-    candidates = shown & (np.nan_to_num(signed) > level)
+    comparable = shown & surrounded(surface, surfels.points - np.nan_to_num(signed)[:, None] * normals, normals)
+    candidates = comparable & (np.nan_to_num(signed) > level)
     doubtful = np.flatnonzero(candidates & suspicious)
     candidates[doubtful] = in_front(surface, seen_from(target, back), surfels.points[doubtful], size)
-    asked = np.flatnonzero(candidates)
-    candidates[asked] = surrounded(
-        surface, surfels.points[asked] - signed[asked, None] * normals[asked], normals[asked]
-    )
-    clusters = _clusters(source, surface, candidates, signed, level, normals, min_surfels)
-    return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])))
+    clusters = _clusters(source, surface, candidates, signed, firm, normals, min_surfels)
+    # what stands out but may be a wall that the sample's scanner missed was not compared
+    comparable[doubtful] = candidates[doubtful]
+    middle = float(np.median(level[shown]))
+    return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size)
+
+
+def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Floats) -> Floats:
+    """Roughness (N,) beyond the noise in mm of the surface's roughest surfel about the feet of points (N, 3)."""
+    size = surface.grid.size_mm
+    excess = np.sqrt(np.maximum(surface.roughness_mm**2 - surface.noise_mm**2, 0))
+    around = within_radius(build_cells(surface.points, size), points - np.nan_to_num(signed)[:, None] * normals, size)
+    padded = np.append(excess[around.indices], 0.0)
+    highest = np.maximum.reduceat(padded, np.minimum(around.starts[:-1], len(padded) - 1))
+    return np.where(np.diff(around.starts) > 0, highest, np.inf)
 
 
 def _pose_variance(registration: FineRegistration, points: Floats, normals: Floats) -> Floats:

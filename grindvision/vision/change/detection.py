@@ -13,11 +13,12 @@ from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, 
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
-from grindvision.vision.change.diagnostics import NAMES, diagnose
+from grindvision.vision.change.coverage import Coverage, find_coverage, same_scan
+from grindvision.vision.change.diagnostics import MIN_OVERLAP, NAMES, diagnose
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.scan_registration import StageClock, register_pair
+from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.scan import Scan
 
@@ -42,8 +43,8 @@ class DetectOptions:
 class Detection:
     """Result of ``detect``; everything but ``T_sample_test`` is in the frame of the test scan.
 
-    ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out, ``beads``
-    its paths, largest first; ``timings_s`` the stages' times.
+    ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out,
+    ``coverage`` what could not be seen, ``beads`` the paths, largest first; ``timings_s`` the stages' times.
     """
 
     sample: Scan
@@ -51,6 +52,7 @@ class Detection:
     coarse: VerifiedPose
     registration: FineRegistration
     difference: Difference
+    coverage: Coverage
     beads: tuple[BeadPath, ...]
     timings_s: dict[str, float] = field(compare=False)
 
@@ -79,7 +81,8 @@ class Detection:
         if pieces and not self.beads:
             return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}"
         if not pieces:
-            return f"nothing to grind above the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
+            level = f"the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
+            return f"nothing to grind above {level}; {self.coverage}"
         return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
 
 
@@ -128,7 +131,9 @@ def detect(
     found = register_pair(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
     difference = find_change(found.source, found.target, found.fine)
     clock.lap("difference")
+    coverage = find_coverage(found.source, found.target, found.fine, difference)
     against = diagnose(found.source, found.target, found.fine, difference, options.seed)
+    against += _unseen(found, difference, coverage)
     try:
         beads = _follow(difference, options.points)
     except DegenerateError as error:
@@ -136,7 +141,25 @@ def detect(
     clock.lap("path")
     for sentence in against:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
-    return Detection(found.target, found.source, found.coarse, found.fine, difference, beads, clock.laps_s)
+    return Detection(found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s)
+
+
+def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:
+    """In words, what keeps the result from saying that there is nothing to grind."""
+    said = []
+    if not difference.clusters and same_scan(found.source, found.target, found.fine):
+        said.append(
+            "the points of both scans fall on one another as those of two measurements never do: SAMPLE and TEST are"
+            " one scan, so nothing is said of the part; give the scan of a good part"
+        )
+    if not difference.clusters and coverage.test_missed and found.overlap >= MIN_OVERLAP:
+        places = coverage.test_missed
+        said.append(
+            f"{1 - coverage.test_fraction:.0%} of the test scan ({coverage.test_missed_mm2:.3g} mm2) was not compared,"
+            f" in {len(places)} larger place(s), the largest {places[0]}: the sample shows nothing there, and what"
+            " stands out there was not seen"
+        )
+    return tuple(said)
 
 
 def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:

@@ -1,0 +1,77 @@
+"""What a comparison could not show is part of its answer."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from grindvision.errors import InputError
+from grindvision.vision.change.coverage import cannot_show
+from grindvision.vision.change.detection import detect
+from tests.grinding_scene import arc_bead, pair, plate_height, scan, view
+
+
+def found_of(sample, test):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = detect(sample, test)
+    return found, " | ".join(str(one.message) for one in caught)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return pair(seed=4, n_points=20_000)
+
+
+def test_nothing_to_grind_is_said_with_what_was_compared_and_what_would_have_been_told(good):
+    found, _ = found_of(good.sample, good.test)
+    cover = found.coverage
+    assert not found.beads and "were compared; beads" in str(found)
+    assert 0.9 < cover.test_fraction < 1 and 0.9 < cover.sample_fraction <= 1
+    assert 0.05 < cover.height_mm <= cover.height_95_mm < np.inf
+    assert cover.width_mm == 3 * found.difference.cell_mm
+
+
+def test_a_bead_of_the_least_height_and_width_that_is_stated_is_found(good):
+    cover = found_of(good.sample, good.test)[0].coverage
+    for seed in (4, 5, 6):
+        bead = arc_bead(length_mm=30.0, width_mm=cover.width_mm, height_mm=cover.height_mm)
+        one = pair(seed=seed, n_points=20_000, beads=[bead])
+        assert len(found_of(one.sample, one.test)[0].difference.clusters) == 1
+
+
+def test_a_hole_of_the_sample_where_the_bead_is_is_told_with_its_place():
+    bead = arc_bead(length_mm=12.0)
+    whole = pair(seed=2, n_points=20_000, beads=[bead])
+    middle = bead.line.mean(axis=0)
+    rng = np.random.default_rng(2)
+    holed = scan(
+        plate_height,
+        view(0.15, (1.0, 0.3, 0.0)),
+        20_000,
+        rng,
+        mask=lambda x, y: np.hypot(x - middle[0], y - middle[1]) > 10,
+    )
+    found, said = found_of(holed, whole.test)
+    assert not found.difference.clusters
+    assert "was not compared" in said
+    ridge = (whole.T_test_part @ [*middle, plate_height(*middle), 1])[:3]
+    assert min(np.linalg.norm(place.middle_mm - ridge) for place in found.coverage.test_missed) < 5
+    assert found.coverage.test_missed_mm2 > 200
+
+
+def test_noise_raises_the_least_height_that_is_stated(good):
+    noisy = pair(seed=4, n_points=20_000, noise_mm=0.3)
+    calm, loud = (found_of(one.sample, one.test)[0] for one in (good, noisy))
+    assert loud.coverage.height_mm > 3 * calm.coverage.height_mm
+    assert cannot_show(calm.difference, 2 * calm.coverage.height_95_mm)[0] < 0.15
+    blind, places = cannot_show(loud.difference, calm.coverage.height_mm)
+    assert blind > 0.9 and places[0].area_mm2 > 1000
+    with pytest.raises(InputError, match="above zero"):
+        cannot_show(calm.difference, 0.0)
+
+
+def test_the_same_scan_twice_says_nothing_of_the_part(good):
+    _, said = found_of(good.sample, good.sample.copy())
+    assert "are one scan" in said
+    assert "are one scan" not in found_of(good.sample, good.test)[1]
