@@ -29,7 +29,7 @@ RIM_CELLS = 3.0
 AREA_PER_CELL = 1 / 1.5
 """A surface of one square cell passes through so many cubic cells in the mean (inverse)."""
 
-SAME_CELLS = 0.02
+SAME_CELLS = 0.06
 """Nine of ten points of a copy lie within so many cells of a point of the other scan."""
 
 
