@@ -88,6 +88,7 @@ class ArcEnd:
 Step = JointMove | LinearMove | Output | Wait | Comment | ArcStart | ArcEnd
 
 
+@by_content
 @dataclass(frozen=True)
 class ArcOptions:
     """What a hot run switches; a shop's own names, never a default.
@@ -153,6 +154,7 @@ class RobotProgramme:
         return f"{self.name} for {self.robot}: {len(self.moves)} straight moves, {run}"
 
 
+@by_content
 @dataclass(frozen=True)
 class RobotProgrammeOptions:
     """Settings of ``robot_programme``.
