@@ -280,7 +280,7 @@ WORDS = st.one_of(
 
 
 #: Commands that run without a word.
-WORDLESS = ("book", "compile")
+WORDLESS = ("book", "compile", "robots")
 
 
 @slices(0.08)

@@ -136,7 +136,7 @@ def test_a_name_that_left_the_front_door_is_in_its_room(old, new):
 def test_every_command_has_a_function():
     from grindvision.cli import COMMANDS
 
-    functions = {name: name.replace("-", "_") for name in COMMANDS} | {"groove": "trace_weld"}
+    functions = {name: name.replace("-", "_") for name in COMMANDS} | {"groove": "trace_weld", "robots": "load_robot"}
     others = ("book", "study", "compile")
     assert all(function in FUNCTIONS for name, function in functions.items() if name not in others)
 

@@ -1,16 +1,18 @@
 import argparse
 import json
+import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from grindvision.arm import MdhArm, write_arm
 from grindvision.cell import weld_scene
 from grindvision.cli import main
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
-from grindvision.errors import FileError, InputError, NotRigidError
+from grindvision.errors import FileError, GrindvisionError, InputError, NotRigidError
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
-from grindvision.motion import tool_trajectory
+from grindvision.motion import tool_trajectory, welding_torch
 from tests.calibration_rig import rig
 from tests.motion_scene import seam
 
@@ -130,3 +132,77 @@ def test_the_table_that_calibrate_writes_is_a_robot_to_weld_with(pose, tmp_path)
     job = robot_job(options("--robot", str(tmp_path / "cell" / "robot.csv"), "--scanner-pose", pose))
     work = np.random.default_rng(0).uniform([250, -90, 20], [370, 90, 45], (3000, 3))
     assert job.write(job.plan(trajectory, move_points(T_scanner_base, work)), tmp_path / "out") == "program.csv"
+
+
+@pytest.mark.parametrize(
+    ("robot", "form", "names"),
+    [
+        ("irb1200_5_90", "rapid", ["prog_arc.mod", "program.mod"]),
+        ("kr6_r900", "krl", ["prog_arc.dat", "prog_arc.src", "program.dat", "program.src"]),
+        ("lrmate200id", "ls", ["prog_arc.ls", "program.ls"]),
+        ("ur5e", "urscript", ["prog_arc.script", "program.script"]),
+    ],
+)
+def test_a_hot_run_is_written_beside_the_dry_one(pose, tmp_path, robot, form, names):
+    output = "doArc" if form == "rapid" else "5"
+    words = ("--robot", robot, "--program", form, "--scanner-pose", pose, "--torch-speed", "10")
+    job = robot_job(options(*words, "--arc", "--arc-output", output))
+    positions, normals = seam(points=6, centre=(430.0, 0.0, 90.0))
+    T_scanner_base = inverse(T_BASE_SCANNER)
+    trajectory = tool_trajectory(move_points(T_scanner_base, positions), rotate_vectors(T_scanner_base, normals))
+    work = np.random.default_rng(0).uniform([400, -90, 20], [460, 90, 60], (300, 3))
+    motion = job.plan(trajectory, move_points(T_scanner_base, work))
+    job.write(motion, tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    text = {path.name: path.read_bytes().decode("ascii") for path in (tmp_path / "out").iterdir()}
+    switch = {"rapid": "SetDO doArc,1", "krl": "$OUT[5]=TRUE", "ls": "DO[5]=ON"}.get(form, "digital_out(5, True)")
+    assert sum(switch in one for name, one in text.items() if name.startswith("prog_arc")) == 1
+    assert not any(switch in one for name, one in text.items() if name.startswith("program"))
+
+
+def test_wishes_for_an_arc_are_refused_in_one_line_before_any_work(pose, tmp_path):
+    here = ("--scanner-pose", pose)
+    for words, message in (
+        (("--robot", "ur3", "--arc-output", "5"), "--arc-output is for a hot run; give --arc as well"),
+        (("--robot", "ur3", "--arc", "--arc-output", "5"), "--arc needs a language that can set outputs"),
+        (("--robot", "gp7", "--program", "jbi", "--arc"), "needs the digital output that strikes the arc"),
+        (("--robot", "gp7", "--program", "krl"), "gp7 is an arm of Yaskawa; it takes --program jbi, not krl"),
+        (("--robot", "ur3", "--program", "rapid"), "the axes 4, 5 and 6 of ur3 miss one point"),
+        (("--robot", "gp7", "--program", "jbi", "--arc", "--arc-output", "arc"), "JBI counts its outputs"),
+        (
+            ("--robot", "gp7", "--program", "jbi", "--arc", "--arc-output", "5", "--arc-setpoint", "1=x"),
+            "--arc-setpoint 1=x: give NAME=VALUE",
+        ),
+        (
+            ("--robot", "ur3", "--program", "urscript", "--send", "10.0.0.2", "--arc", "--arc-output", "5"),
+            "--send hands the dry run over",
+        ),
+        (("--robot", "gp7", "--stick-out", "80"), "--stick-out is 80 mm; give 5 to 50"),
+    ):
+        with pytest.raises(InputError, match=re.escape(message)):
+            robot_job(options(*words, *here))
+    torch = tmp_path / "torch.json"
+    for content, message in (
+        ({"tcp": 1}, "no key T_flange_tcp; found tcp"),
+        ({"T_flange_tcp": rigid(translation_mm=[0, 0, 0.3]).tolist()}, "metres\\? give millimetres"),
+        ({"T_flange_tcp": rigid(translation_mm=[0, 0, 50]).tolist()}, "is shorter than its parts"),
+        ({"T_flange_tcp": rigid(translation_mm=[300, 0, -50]).tolist()}, "50 mm behind the flange"),
+    ):
+        torch.write_text(json.dumps(content))
+        with pytest.raises(GrindvisionError, match=message):
+            robot_job(options("--robot", "gp7", "--tool", str(torch), *here))
+
+
+def test_a_torch_from_a_file_carries_its_tip_and_a_body_up_to_the_nozzle(pose, tmp_path):
+    tip = rigid(Rotation.from_euler("y", 35, degrees=True).as_matrix(), [70.0, 5.0, 330.0])
+    torch = tmp_path / "torch.json"
+    torch.write_text(json.dumps({"T_flange_tcp": tip.tolist()}))
+    tool = robot_job(
+        options("--robot", "gp7", "--tool", str(torch), "--scanner-pose", pose, "--stick-out", "20")
+    ).robot.tool
+    np.testing.assert_allclose(tool.T_flange_tool, tip)
+    (start, bend, _), (again, nozzle, radius_mm) = tool.capsules
+    assert start == (0, 0, 0) and bend == again
+    assert np.linalg.norm(np.subtract(nozzle, tip[:3, 3])) == pytest.approx(20 + radius_mm)
+    straight = robot_job(options("--robot", "ur3", "--scanner-pose", pose)).robot.tool
+    assert straight == welding_torch()  # today's torch, unless another is asked for

@@ -21,6 +21,7 @@ COMMANDS = {
     "book": "rebuild chapters, figures and the scoreboard (and the HTML book)",
     "detect": "two scans in, grinding path out",
     "groove": "a scan in, weld groove and torch trajectory out",
+    "robots": "list the arms that are known by name",
     "calibrate": "sphere measurements in, calibrated arm and scanner out",
     "verify": "new shots in, whether an old calibration still holds",
     "calibrate-field": "scans of a flat plate in, the depth error of the scanner out",

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
-from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job, send_if_agreed
+from grindvision.cli.robot_job import (
+    PROGRAM_FILES,
+    RobotJob,
+    add_robot_arguments,
+    motion_facts,
+    robot_job,
+    send_if_agreed,
+)
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
     add_field_argument,
@@ -29,7 +36,9 @@ from grindvision.vision.seam.joint_names import FAMILIES, KINDS
 if TYPE_CHECKING:
     import numpy as np
 
+    from grindvision.motion.trajectory import Trajectory
     from grindvision.vision.seam.joints import Seam
+    from grindvision.vision.seam.seam_path import SeamPath
     from grindvision.vision.seam.weld import Weld
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
@@ -43,7 +52,8 @@ results in DIR:
                    (R = Rz(yaw) Ry(pitch) Rx(roll); tool z into the work, x along the seam), frame of CLOUD
   trajectory_2.csv, ...  further seams: grooves, smaller after larger, then corners, the longest first
   labels.npy       bool, one per point of CLOUD in its order: does it belong to a seam?
-  program.*        with --robot: the motion for the controller
+  program.*        with --robot: the motion for the controller, a dry run
+  prog_arc.*       with --arc: the same motion as a hot run, which sets the named outputs
   report.png       did it work? the groove and the path on the cloud, the path's course
   report.json      kinds of seams with the evidence, sizes, timings, versions, parameters; written last
 
@@ -55,6 +65,8 @@ examples:
   grindvision groove bracket.ply -o weld --joint fillet
   grindvision groove plate.ply -o weld --field-correction camera/field.npz
   grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
+  grindvision groove plate.ply -o weld --robot kr6_r900 --program krl --scanner-pose pose.json --tool torch.json \\
+      --travel-angle -10 --arc --arc-output 5
 """
 
 
@@ -89,6 +101,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="ours",
         help="ours, or the second paper's method, which follows one groove (default: ours)",
     )
+    torch = parser.add_argument_group("torch")
+    for name, text in (
+        ("--work-angle", "lean to one side of the seam, about the seam's direction"),
+        ("--travel-angle", "lean along the seam: above 0 the wire points forward (push), below 0 back (drag)"),
+    ):
+        torch.add_argument(name, type=number, metavar="DEG", help=f"{text} (default: 0)")
+    torch.add_argument(
+        "--max-turning",
+        type=number,
+        metavar="DEG_S",
+        help="steady the torch along the seam until it turns no faster than this at --torch-speed (default: steadied"
+        f" over {STEADY_MM:g} mm)",
+    )
     add_robot_arguments(parser)
     add_output_arguments(parser)
 
@@ -102,19 +127,24 @@ def run(options: argparse.Namespace) -> int:
     if options.joint != "any" and options.variant != "ours":
         raise InputError(f"--joint {options.joint} is for --variant ours; the paper's method knows grooves only")
 
+    for name, angle in (("--work-angle", options.work_angle), ("--travel-angle", options.travel_angle)):
+        if angle is not None and not abs(angle) <= 60:
+            raise InputError(f"{name} is {angle:g} deg; give -60 to 60")
+    if options.max_turning is not None and not options.max_turning > 0:
+        raise InputError(f"--max-turning is {options.max_turning:g} deg/s; give a number above 0")
+
     import numpy as np
 
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
-    from grindvision.motion.trajectory import ToolTrajectoryOptions, tool_trajectory
     from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
 
     draw = drawing("groove_picture")
     job = robot_job(options)
     field = read_correction(options.field_correction, options.viewpoint)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
-    outdated = ("trajectory_[0-9]*.csv", "program.csv", "program.json", "program.script")
+    outdated = ("trajectory_[0-9]*.csv", *PROGRAM_FILES)
     with Run(options, ("cloud",), libraries, 6 if job else 5, outdated) as work:
         with work.stage("read"):
             (cloud,) = read_scans((options.cloud,), options.unit, (options.mirrored,))
@@ -132,12 +162,8 @@ def run(options: argparse.Namespace) -> int:
         labels[rows] = weld.labels
         labels[copies] = labels[originals]
         work.finished("detect")
-        steady_mm = STEADY_MM if options.variant == "ours" else 0.0
         with work.stage("torch"):
-            trajectories = [
-                tool_trajectory(path.points, path.normals, ToolTrajectoryOptions(path.closed, steady_mm=steady_mm))
-                for path in weld.paths
-            ]
+            trajectories = [_torch(path, options, job) for path in weld.paths]
         results = _results(weld, labels)
         if job is not None:
             with work.stage("motion"):
@@ -157,6 +183,23 @@ def run(options: argparse.Namespace) -> int:
     if options.send is not None:
         send_if_agreed(motion, options)
     return 0
+
+
+def _torch(path: SeamPath, options: argparse.Namespace, job: RobotJob | None) -> Trajectory:
+    import numpy as np
+
+    from grindvision.motion.trajectory import ToolTrajectoryOptions, slowly_turning, tool_trajectory
+
+    settings = ToolTrajectoryOptions(
+        path.closed,
+        float(np.radians(options.work_angle or 0.0)),
+        float(np.radians(options.travel_angle or 0.0)),
+        STEADY_MM if options.variant == "ours" else 0.0,
+    )
+    if options.max_turning is None:
+        return tool_trajectory(path.points, path.normals, settings)
+    speed = 8.0 if job is None else job.torch_speed_mm_s
+    return slowly_turning(path.points, path.normals, settings, speed, float(np.radians(options.max_turning)))
 
 
 def _results(weld: Weld, labels: np.ndarray) -> dict[str, Any]:

@@ -15,10 +15,17 @@ from grindvision.records import by_content
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.motion import Motion, Robot, Trajectory
+    from grindvision.motion import ArcOptions, Motion, Robot, Tool, Trajectory
 
 
-PROGRAMS = ("csv", "json", "urscript")
+PROGRAMS = ("csv", "json", "urscript", "rapid", "krl", "ls", "jbi")
+
+#: Names of all files that a programme may have; those of another format are removed.
+PROGRAM_FILES = ("program.csv", "program.json", "program.script", "program.mod", "program.src", "program.dat") + (
+    "program.ls",
+    "program.jbi",
+    *(f"prog_arc.{ending}" for ending in ("script", "mod", "src", "dat", "ls", "jbi")),
+)
 
 
 @by_content
@@ -32,6 +39,7 @@ class RobotJob:
     torch_speed_mm_s: float
     table_top_mm: float
     seed: int
+    arc: ArcOptions | None = None
 
     def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
         """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
@@ -48,12 +56,25 @@ class RobotJob:
         return plan_motion(self.robot, fine, settings)
 
     def write(self, motion: Motion, folder: Path) -> str:
-        """Write ``program`` with the format's ending into the folder; returns the file's name."""
+        """Write ``program`` with the format's ending into the folder, ``prog_arc`` where asked; returns the name."""
         from grindvision.motion import SUFFIXES, write_programme
 
+        runs = [] if self.form in SUFFIXES else [("program", None)]
+        runs += [] if self.arc is None else [("prog_arc", self.arc)]
+        texts = [self._texts(motion, name, arc) for name, arc in runs]
+        for name, text in (pair for files in texts for pair in files.items()):
+            _write_ascii(folder / name, text)
+        if self.form not in SUFFIXES:
+            return next(iter(texts[0]))
         name = "program" + SUFFIXES[self.form]
         write_programme(motion, folder / name, self.form)
         return name
+
+    def _texts(self, motion: Motion, name: str, arc: ArcOptions | None) -> dict[str, str]:
+        from grindvision.motion import RobotProgrammeOptions, programme_files, robot_programme
+
+        settings = RobotProgrammeOptions(name, arc=arc, placed=self.form != "urscript")
+        return programme_files(robot_programme(motion, settings), self.form)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,9 +82,10 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("robot programme (all need --robot)")
     group.add_argument(
         "--robot",
-        metavar="ur3|FILE.urdf|FILE.csv",
-        help="arm that carries the torch; adds DIR/program.*. A CSV is a modified DH table (see `grindvision calibrate"
-        " --help`) with joint limits in further columns lower_rad, upper_rad, speed_rad_s",
+        metavar="NAME|FILE.urdf|FILE.csv",
+        help="arm that carries the torch; adds DIR/program.*. `grindvision robots` lists the names. A CSV is"
+        " a modified DH table (see `grindvision calibrate --help`) with joint limits in further columns"
+        " lower_rad, upper_rad, speed_rad_s",
     )
     group.add_argument(
         "--scanner-pose", metavar="FILE.json", help="needed: 4x4 matrix T_base_scanner, mm, bare or under that key"
@@ -79,6 +101,27 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
         "--anywhere", action="store_true", default=None, help="send to an address outside private networks too"
     )
     group.add_argument("--program", choices=PROGRAMS, help="format of the programme (default: csv)")
+    group.add_argument(
+        "--tool",
+        metavar="FILE.json",
+        help="the torch: 4x4 matrix T_flange_tcp to the wire's tip, mm, z along the wire (default: straight, 160 mm)",
+    )
+    group.add_argument("--stick-out", type=number, metavar="MM", help="wire out of the nozzle (default: 15)")
+    group.add_argument(
+        "--arc",
+        action="store_true",
+        default=None,
+        help="write a hot run too, prog_arc.*: it sets the outputs named here",
+    )
+    group.add_argument(
+        "--arc-output", metavar="NAME", help="digital output that strikes the arc, as the controller names it"
+    )
+    group.add_argument(
+        "--arc-setpoint", nargs="+", metavar="NAME=VALUE", help="analogue outputs set before the arc, as 1=22.5"
+    )
+    group.add_argument(
+        "--arc-data", nargs=2, metavar=("SEAM", "WELD"), help="rapid: seam and weld data of ArcL, in place of outputs"
+    )
     group.add_argument("--torch-speed", type=number, metavar="MM_S", help="along the seam, mm/s (default: 8)")
     group.add_argument("--seed", type=whole, metavar="N", help="seed of the random start angles (default: 0)")
     group.add_argument("--table-top", type=number, metavar="MM", help="height of the table in the base (default: 0)")
@@ -101,6 +144,12 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         "send",
         "yes",
         "anywhere",
+        "tool",
+        "stick_out",
+        "arc",
+        "arc_output",
+        "arc_setpoint",
+        "arc_data",
     )
     if options.robot is None:
         lonely = [name for name in needs_robot if getattr(options, name) is not None]
@@ -112,8 +161,10 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     from grindvision.motion import UR_JOINTS, LoadRobotOptions, load_robot
 
     T_base_scanner = read_pose(options.scanner_pose)
-    robot = load_robot(options.robot, LoadRobotOptions(flange=options.flange))
     form = options.program or "csv"
+    arc = _arc(options, form)
+    robot = load_robot(options.robot, LoadRobotOptions(_torch(options), options.flange))
+    _check_language(options.robot, robot, form, arc)
     if form == "urscript" and robot.joints != UR_JOINTS:
         raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript; choose csv or json")
     speed = 8.0 if options.torch_speed is None else options.torch_speed
@@ -124,7 +175,67 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         raise InputError(f"--{'yes' if options.yes else 'anywhere'} is for sending; give --send HOST as well")
     if options.send is not None and form != "urscript":
         raise InputError(f"--send hands URScript over, not {form}; give --program urscript as well")
-    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0)
+    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0, arc)
+
+
+def _torch(options: argparse.Namespace) -> Tool:
+    from grindvision.motion import read_torch, welding_torch
+
+    wire_mm = 15.0 if options.stick_out is None else options.stick_out
+    if not 5 <= wire_mm <= 50:
+        raise InputError(f"--stick-out is {wire_mm:g} mm; give 5 to 50")
+    return welding_torch(145.0 + wire_mm, wire_mm) if options.tool is None else read_torch(options.tool, wire_mm)
+
+
+def _arc(options: argparse.Namespace, form: str) -> ArcOptions | None:
+    """The hot run that is asked for, or None."""
+    details = ("arc_output", "arc_setpoint", "arc_data")
+    if options.arc is None:
+        lonely = [name for name in details if getattr(options, name) is not None]
+        if lonely:
+            raise InputError(f"--{lonely[0].replace('_', '-')} is for a hot run; give --arc as well")
+        return None
+    from grindvision.motion import ArcOptions
+
+    if form in ("csv", "json"):
+        raise InputError(f"--arc needs a language that can set outputs; give --program, not {form}")
+    if options.send is not None:
+        raise InputError("--send hands the dry run over; load a hot run at the controller, without --send")
+    setpoints = [word.partition("=") for word in options.arc_setpoint or []]
+    try:
+        values = tuple((name, float(value)) for name, _, value in setpoints)
+    except ValueError:
+        raise InputError(f"--arc-setpoint {' '.join(options.arc_setpoint)[:60]}: give NAME=VALUE, as 1=22.5") from None
+    return ArcOptions(options.arc_output or "", values, tuple(options.arc_data) if options.arc_data else None)
+
+
+def _check_language(source: str, robot: Robot, form: str, arc: ArcOptions | None) -> None:
+    """Refuse a language that the arm does not speak, or names that the language does not take, before any work."""
+    if form in ("csv", "json"):
+        return
+    import numpy as np
+
+    from grindvision.motion import RobotProgramme, known_robots, programme_files
+    from grindvision.motion.placement import check_spherical_wrist
+    from grindvision.motion.programme_steps import Output
+
+    known = known_robots().get(source)
+    if known is not None and known.language != form:
+        raise InputError(f"{known.name} is an arm of {known.maker}; it takes --program {known.language}, not {form}")
+    if form != "urscript":
+        check_spherical_wrist(robot)
+    if arc is not None:
+        named = [] if arc.data is not None else [(arc.output, True), *arc.setpoints]
+        steps = tuple(Output(name, value) for name, value in named)
+        trial = RobotProgramme("prog_arc", robot.name, robot.joints, np.eye(4), np.eye(4), steps, arc)
+        programme_files(trial, form)
+
+
+def _write_ascii(path: Path, text: str) -> None:
+    from grindvision.files import write_whole
+
+    with write_whole(path) as temporary:
+        temporary.write_bytes(text.encode("ascii"))
 
 
 def send_if_agreed(motion: Motion, options: argparse.Namespace) -> None:

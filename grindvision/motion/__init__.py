@@ -10,18 +10,19 @@ from typing import Any
 
 _HOMES = {
     "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
+    "known": ("KnownRobot", "known_robots"),
     "follow": ("JointPath", "follow_trajectory", "start_angles"),
     "plan": ("Motion", "PlanMotionOptions", "plan_motion"),
     "programme": ("SUFFIXES", "UR_JOINTS", "csv_text", "json_content", "urscript", "write_programme"),
     "robot": ("ER3A_LIMITS", "JointLimits", "Robot", "mdh_robot", "ur3", "urdf_robot"),
     "placement": ("Placement", "placements"),
-    "robot_files": ("KnownRobot", "LoadRobotOptions", "known_robots", "load_robot"),
+    "robot_files": ("LoadRobotOptions", "load_robot"),
     "programme_steps": ("ArcOptions", "RobotProgramme", "RobotProgrammeOptions", "robot_programme"),
     "sender": ("UR_PORT", "Delivery", "announcement", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),
-    "tool": ("Tool", "grinding_spindle", "welding_torch"),
+    "tool": ("Tool", "grinding_spindle", "read_torch", "welding_torch"),
     "writers": ("LANGUAGES", "programme_files"),
-    "trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),
+    "trajectory": ("ToolTrajectoryOptions", "Trajectory", "slowly_turning", "tool_trajectory", "turning_rad_s"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

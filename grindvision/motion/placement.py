@@ -55,7 +55,7 @@ def placements(robot: Robot, q_rad: Floats) -> tuple[Placement, ...]:
         InputError: the arm has no six joints or no spherical wrist; it points nowhere at zero; a position stands on a
             singular one, where the placement changes.
     """
-    _check_wrist(robot)
+    check_spherical_wrist(robot)
     zero = _wrist_centre(robot, np.zeros(6))[0]
     radius_mm = float(np.hypot(zero[0], zero[1]))
     if radius_mm < SINGULAR_MM:
@@ -109,7 +109,12 @@ def _meeting(joints: list[pin.SE3]) -> tuple[Floats, float]:
     return centre, float(max(misses))
 
 
-def _check_wrist(robot: Robot) -> None:
+def check_spherical_wrist(robot: Robot) -> None:
+    """Refuse an arm whose placement cannot be named.
+
+    Raises:
+        InputError: it has not six joints, or its axes 4, 5 and 6 do not meet.
+    """
     if robot.model.nq != 6:
         raise InputError(f"{robot.name} has {robot.model.nq} joints; RAPID, KRL, LS and JBI are written for six")
     trial = np.array([0.3, 0.2, -0.4, 0.5, 0.9, 0.2])

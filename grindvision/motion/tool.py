@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.errors import InputError
+from grindvision.errors import FileError, InputError, UnitError
+from grindvision.files import read_json
 from grindvision.geometry import check_rigid, rigid
 from grindvision.records import by_content
 
@@ -15,6 +17,9 @@ Floats = NDArray[np.float64]
 
 #: Start and end point (mm, in the flange frame) and radius (mm) of a capsule.
 Capsule = tuple[tuple[float, float, float], tuple[float, float, float], float]
+
+#: A welding torch: length of its neck, radii of its holder and its nozzle, mm.
+NECK_MM, HOLDER_RADIUS_MM, NOZZLE_RADIUS_MM = 60.0, 22.0, 8.0
 
 
 @by_content
@@ -44,14 +49,43 @@ class Tool:
 
 def welding_torch(length_mm: float = 160.0, wire_mm: float = 15.0) -> Tool:
     """A straight machine torch: ``length_mm`` from flange to wire tip, of which ``wire_mm`` stand out of the nozzle."""
-    neck_mm, holder_radius_mm, nozzle_radius_mm = 60.0, 22.0, 8.0
-    _check_length("welding torch", length_mm, neck_mm + wire_mm + nozzle_radius_mm + holder_radius_mm)
-    nozzle_mm = length_mm - wire_mm - nozzle_radius_mm
+    _check_length("welding torch", length_mm, NECK_MM + wire_mm + NOZZLE_RADIUS_MM + HOLDER_RADIUS_MM)
+    nozzle_mm = length_mm - wire_mm - NOZZLE_RADIUS_MM
     capsules: tuple[Capsule, ...] = (
-        ((0.0, 0.0, 0.0), (0.0, 0.0, nozzle_mm - neck_mm), holder_radius_mm),
-        ((0.0, 0.0, nozzle_mm - neck_mm), (0.0, 0.0, nozzle_mm), nozzle_radius_mm),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, nozzle_mm - NECK_MM), HOLDER_RADIUS_MM),
+        ((0.0, 0.0, nozzle_mm - NECK_MM), (0.0, 0.0, nozzle_mm), NOZZLE_RADIUS_MM),
     )
     return Tool("welding torch", rigid(translation_mm=[0, 0, length_mm]), capsules)
+
+
+def read_torch(path: str | Path, wire_mm: float = 15.0) -> Tool:
+    """A torch, straight or bent, from a JSON file: ``T_flange_tcp`` (4, 4), mm, to the wire's tip, z out of the wire.
+
+    Its body for the collision check is an estimate: a holder from the flange to where the neck begins, and the neck
+    of 60 mm, in line with the wire, up to the nozzle, out of which ``wire_mm`` stand.
+
+    Raises:
+        FileError: missing, no JSON, no such key. NotRigidError: no rigid transform. UnitError: metres, by its size.
+        InputError: the tip is nearer to the flange than a torch is long.
+    """
+    content = read_json(path)
+    if isinstance(content, dict):
+        if "T_flange_tcp" not in content:
+            raise FileError(f"{path}: no key T_flange_tcp; found {', '.join(list(content)[:8])[:80] or 'none'}")
+        content = content["T_flange_tcp"]
+    tip = check_rigid(content, f"{path}: T_flange_tcp", tolerance=1e-3)
+    length_mm = float(np.linalg.norm(tip[:3, 3]))
+    if 0 < length_mm < 2.0:
+        raise UnitError(f"{path}: the wire's tip is {length_mm:.3g} mm from the flange: metres? give millimetres")
+    _check_length("welding torch", length_mm, NECK_MM + wire_mm + NOZZLE_RADIUS_MM + HOLDER_RADIUS_MM)
+    if tip[2, 3] <= 0:
+        raise InputError(
+            f"{path}: the wire's tip lies {-tip[2, 3]:.0f} mm behind the flange; its z points into the tool"
+        )
+    nozzle = tip[:3, 3] - (wire_mm + NOZZLE_RADIUS_MM) * tip[:3, 2]
+    bend = nozzle - NECK_MM * tip[:3, 2]
+    start, elbow, end = ((float(x), float(y), float(z)) for x, y, z in ([0.0, 0.0, 0.0], bend, nozzle))
+    return Tool("welding torch", tip, ((start, elbow, HOLDER_RADIUS_MM), (elbow, end, NOZZLE_RADIUS_MM)))
 
 
 def grinding_spindle(length_mm: float = 230.0, mount_mm: float = 80.0, stone_mm: float = 20.0) -> Tool:

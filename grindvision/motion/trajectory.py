@@ -182,6 +182,42 @@ def tool_trajectory(
     return Trajectory(frames, closed)
 
 
+def turning_rad_s(trajectory: Trajectory, speed_mm_s: float) -> float:
+    """The tool's greatest angular speed between two way points, rad/s, at a speed along the seam."""
+    poses = trajectory.T_base_tool_worked[:, :3, :3]
+    angles = Rotation.from_matrix(np.swapaxes(poses[:-1], 1, 2) @ poses[1:]).magnitude()
+    return float((angles / np.diff(trajectory.arc_mm)).max() * speed_mm_s)
+
+
+def slowly_turning(
+    positions_mm: ArrayLike,
+    normals: ArrayLike,
+    options: ToolTrajectoryOptions,
+    speed_mm_s: float,
+    max_turning_rad_s: float,
+) -> Trajectory:
+    """Tool frames as of ``tool_trajectory``, steadied along the seam just so far that the tool turns slowly enough.
+
+    ``steady_mm`` of the options is tried first, then half as much more each time, up to half the seam's length.
+
+    Raises:
+        InputError: the bound or the speed is not above zero; the seam itself bends faster.
+    """
+    if not (max_turning_rad_s > 0 and speed_mm_s > 0):
+        raise InputError(f"a turning of {max_turning_rad_s:g} rad/s at {speed_mm_s:g} mm/s; give both above 0")
+    trajectory = tool_trajectory(positions_mm, normals, options)
+    steady_mm, longest_mm = max(options.steady_mm, 2.0), trajectory.arc_mm[-1] / 2
+    while (turning := turning_rad_s(trajectory, speed_mm_s)) > max_turning_rad_s:
+        if steady_mm > longest_mm:
+            raise InputError(
+                f"the seam itself turns the tool at {np.degrees(turning):.3g} deg/s at {speed_mm_s:g} mm/s; the bound"
+                f" is {np.degrees(max_turning_rad_s):.3g}; weld slower or allow more"
+            )
+        steady_mm *= 1.5
+        trajectory = tool_trajectory(positions_mm, normals, replace(options, steady_mm=steady_mm))
+    return trajectory
+
+
 def _tangents(points: Floats, closed: bool) -> Floats:
     """Unit tangents (N, 3) of the parabola through each way point and its two neighbours."""
     line = np.concatenate([points[-1:], points, points[:1]]) if closed else points

@@ -59,7 +59,7 @@ def _frames(programme: RobotProgramme) -> list[str]:
 
 def _procedure(programme: RobotProgramme) -> list[str]:
     lines = [f"  PROC {programme.name}()"]
-    moves, burning = programme.moves, False
+    burning = False
     arc_data = "" if programme.arc is None or programme.arc.data is None else _arc_data(programme.arc.data)
     for step in programme.steps:
         if isinstance(step, Comment):
@@ -83,7 +83,6 @@ def _procedure(programme: RobotProgramme) -> list[str]:
             instruction, data = ("ArcL", f",{arc_data}") if burning else ("MoveL", "")
             speed, zone = _speed(step.speed_mm_s), _zone(step.zone_mm)
             lines.append(f"    {instruction} {_target(step)},{speed}{data},{zone},tTorch\\WObj:=wWork;")
-    assert moves
     return [*lines, "  ENDPROC"]
 
 
