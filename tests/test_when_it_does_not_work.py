@@ -399,6 +399,20 @@ def all_six_joints(folder):
     return spheres(folder, arm=read_arm(ROBOT))
 
 
+@mistake("The arm speaks another language")
+def a_kuka_programme_for_a_yaskawa(folder):
+    write_ply(folder / "plate.ply", np.eye(3))
+    pose = pose_file(folder, ABOVE)
+    return ["groove", folder / "plate.ply", "--scanner-pose", pose, "--robot", "gp7", "--program", "krl"]
+
+
+@mistake("A hot run that names no output")
+def an_arc_without_an_output(folder):
+    write_ply(folder / "plate.ply", np.eye(3))
+    pose = pose_file(folder, ABOVE)
+    return ["groove", folder / "plate.ply", "--scanner-pose", pose, "--robot", "gp7", "--program", "jbi", "--arc"]
+
+
 @mistake("The folder cannot be written")
 def a_file_of_that_name(folder):
     (folder / "out").write_text("in the way")
