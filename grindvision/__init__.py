@@ -22,6 +22,7 @@ _HOMES = {
     "calibration.measurements": ("Measurements",),
     "calibration.accurate": ("Options as CalibrateOptions", "Calibration", "calibrate"),
     "calibration.holding": ("Verification", "VerifyOptions", "verify"),
+    "calibration.hand_eye": ("HandEye", "HandEyeOptions", "hand_eye"),
     "motion.robot": ("Robot",),
     "motion.robot_files": ("LoadRobotOptions", "load_robot"),
     "motion.trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),

@@ -1,0 +1,337 @@
+"""Hand-eye calibration without a tracker: where a camera sits on an arm, or beside it, from controller poses alone.
+
+A target that does not move is seen from N poses. With ``carrier`` poses C_i (T_base_flange of a camera on the arm,
+T_flange_base of a camera beside it, the target on the flange) the unknown X = T_flange_camera (T_base_camera) obeys
+C_i X p_i = Y for every pose: p_i is the target in the camera's frame, as a point (3,) or as a pose (4, 4), and Y its
+place in the base (flange). Two poses give A X = X B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from grindvision.calibration.hand_eye_starts import motion_spread, starts_from_points, starts_from_poses
+from grindvision.errors import DegenerateError, InputError
+from grindvision.geometry import inverse, mean_rigid, move_points, nearest_rotation, rigid, rotation_about, skew
+from grindvision.records import by_content
+
+Floats = NDArray[np.float64]
+
+MOUNTINGS = ("on-arm", "fixed")
+
+#: Fewest poses: points give three equations a pose for nine unknowns, and one pose is wanted over; poses give six.
+FEWEST_POINTS, FEWEST_POSES = 4, 3
+
+#: The poses must turn about a second axis by so much (deg, root mean square about their mean).
+LEAST_SECOND_AXIS_DEG = 2.0
+
+#: From so many poses on a wrong one can be told from the rest, and loses its weight.
+ROBUST_FROM = 6
+
+#: Distance (mm) at which an error of rotation counts as one of place, until their sizes are known.
+LEVER_MM = 100.0
+
+
+@by_content
+@dataclass(frozen=True)
+class HandEyeOptions:
+    """Settings of ``hand_eye``: ``mounted`` ``on-arm``, the camera on the flange and the target beside the arm, or
+    ``fixed``, the camera beside the arm and the target on the flange."""
+
+    mounted: str = "on-arm"
+
+
+@by_content
+@dataclass(frozen=True)
+class HandEye:
+    """A camera's place with all that says how good it is.
+
+    ``T_parent_camera`` (4, 4), mm: T_flange_camera on the arm, T_base_camera beside it. ``target`` (4, 4) is the
+    target's pose (a point: with the identity as rotation) in the base frame (flange frame). ``covariance`` (6, 6):
+    translation (mm), then rotation (rad), both along the axes of the parent frame. ``residuals_mm`` (N, 3): where a
+    pose puts the target, less where it is; ``residuals_rad`` (N, 3) its rotation (NaN for points); ``left_out_mm`` (N,)
+    how far off a pose puts the target when it took no part in the fit. ``weights`` (N,) in 0..1: near zero, the pose
+    does not fit the others. ``starts_differ``: degrees and mm between two closed-form solutions (NaN: only one).
+    """
+
+    T_parent_camera: Floats
+    target: Floats
+    mounted: str
+    covariance: Floats
+    residuals_mm: Floats
+    residuals_rad: Floats
+    left_out_mm: Floats
+    weights: Floats
+    starts_differ: tuple[float, float]
+    spread_deg: Floats
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square over the poses of how far the target's places lie from their mean."""
+        return float(np.sqrt((self.residuals_mm**2).sum(axis=1).mean()))
+
+    @property
+    def sigma_mm(self) -> Floats:
+        """Standard deviation (3,) of the camera's place along the axes of the parent frame."""
+        return np.sqrt(np.diag(self.covariance)[:3])
+
+    @property
+    def sigma_deg(self) -> Floats:
+        """Standard deviation (3,) of the camera's rotation about the axes of the parent frame."""
+        return np.degrees(np.sqrt(np.diag(self.covariance)[3:]))
+
+    def __str__(self) -> str:
+        n = len(self.residuals_mm)
+        return (
+            f"hand-eye from {n} poses: the target's places meet within {self.rms_mm:.2f} mm rms, left out"
+            f" {np.sqrt(np.mean(self.left_out_mm**2)):.2f} mm; camera known to +- {self.sigma_mm.max():.2f} mm,"
+            f" +- {self.sigma_deg.max():.3f} deg"
+        )
+
+
+@by_content
+@dataclass(frozen=True)
+class _Fit:
+    X: Floats
+    Y: Floats
+    place: Floats  # (N, 3) mm
+    turn: Floats  # (N, 3) rad, NaN for points
+    weights: Floats
+    covariance: Floats
+    cost: float
+
+
+def carriers(T_base_flange: ArrayLike, mounted: str) -> Floats:
+    """Poses (N, 4, 4) that carry the camera: as they are on the arm, inverted where the camera stands beside it.
+
+    Raises:
+        InputError: another mounting than ``MOUNTINGS``.
+    """
+    if mounted not in MOUNTINGS:
+        raise InputError(f"mounted {mounted!r} is unknown; use {' or '.join(MOUNTINGS)}")
+    poses = np.asarray(T_base_flange, dtype=float)
+    return poses if mounted == "on-arm" else inverse(poses)
+
+
+def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEyeOptions | None = None) -> HandEye:
+    """Where a camera sits on an arm or beside it, from the controller's poses and a target that rests.
+
+    Closed forms give the starts; one least squares on the group gives the answer, with poses that do not fit the others
+    weighted down from ``ROBUST_FROM`` poses on.
+
+    Args:
+        T_base_flange: poses (N, 4, 4) of the controller, mm.
+        target_camera: the target in the camera's frame at every pose: points (N, 3) or poses (N, 4, 4), mm.
+        options: how the camera is mounted.
+
+    Returns:
+        The camera's place with its covariance, and every pose's error with and without a part in the fit.
+
+    Raises:
+        InputError: shapes that do not belong together.
+        DegenerateError: too few poses, or motions that leave a direction unknown; the message names it.
+
+    Example:
+        >>> import numpy as np
+        >>> from grindvision import hand_eye
+        >>> from grindvision.geometry import inverse, move_points, rigid, rotation_about
+        >>> T_flange_camera, sphere = rigid(translation_mm=[0, 50, 80]), [500, 0, 100]
+        >>> axes = np.random.default_rng(1).normal(size=(8, 3))
+        >>> poses = [rigid(rotation_about(axis, 0.6), 100 * axis) for axis in axes]
+        >>> seen = [move_points(inverse(pose @ T_flange_camera), sphere) for pose in poses]
+        >>> np.round(hand_eye(poses, seen).T_parent_camera[:3, 3]) + 0.0
+        array([ 0., 50., 80.])
+    """
+    mounted = (HandEyeOptions() if options is None else options).mounted
+    carrier, target = _checked(T_base_flange, target_camera, mounted)
+    spread, axes = motion_spread(carrier)
+    refuse_motions(spread, axes, mounted)
+    points = target.ndim == 2
+    starts, differ = starts_from_points(carrier, target) if points else starts_from_poses(carrier, target)
+    fits = [_fit(carrier, target, start, robust=False, iterations=12) for start in starts]
+    start = min(fits, key=lambda fit: fit.cost)
+    found = _fit(carrier, target, start.X, robust=len(carrier) >= ROBUST_FROM)
+    left_out = np.array([_left_out(carrier, target, found, row) for row in range(len(carrier))])
+    return HandEye(
+        found.X, found.Y, mounted, found.covariance, found.place, found.turn, left_out, found.weights, differ,
+        np.degrees(spread),
+    )  # fmt: skip
+
+
+def quick_rms_mm(carrier: Floats, target: Floats) -> float:
+    """What the best fit leaves of a target's places, mm rms with the unknowns counted, for comparing conventions."""
+    starts, _ = starts_from_points(carrier, target) if target.ndim == 2 else starts_from_poses(carrier, target)
+    fits = [_fit(carrier, target, start, robust=False, iterations=8) for start in starts]
+    best = min(fits, key=lambda fit: fit.cost)
+    n = len(carrier)
+    free = max(n - 3, 1) if target.ndim == 2 else max(n - 2, 1)
+    rms = (best.place**2).sum() / free
+    if target.ndim == 3:
+        rms += LEVER_MM**2 * (best.turn**2).sum() / free
+    return float(np.sqrt(rms))
+
+
+def refuse_motions(spread_rad: Floats, axes: Floats, mounted: str) -> None:
+    """Refuse poses whose rotations (root mean squares (3,) along ``axes`` (3, 3)) leave a direction unknown.
+
+    Raises:
+        DegenerateError: names the direction.
+    """
+    frame = "flange" if mounted == "on-arm" else "base"
+    first, second = np.degrees(spread_rad[:2])
+    if first < LEAST_SECOND_AXIS_DEG:
+        raise DegenerateError(
+            f"the poses hardly turn ({first:.2g} deg rms about their mean): the camera's translation is free in every"
+            " direction; add poses that turn by 20 deg and more about two axes"
+        )
+    if second < LEAST_SECOND_AXIS_DEG:
+        axis = ", ".join(f"{value:.2f}" for value in axes[0])
+        raise DegenerateError(
+            f"all motions turn about one axis, ({axis}) in the {frame} frame, within {second:.2g} deg: the camera's"
+            " translation along it is free; add poses that turn by 20 deg and more about another axis"
+        )
+
+
+def motion_spread_of(carrier: Floats) -> Floats | None:
+    """How far poses (N, 4, 4) turn, see ``motion_spread``; None where they leave a direction unknown."""
+    spread, axes = motion_spread(carrier)
+    try:
+        refuse_motions(spread, axes, "on-arm")
+    except DegenerateError:
+        return None
+    return spread
+
+
+def free_directions(found: HandEye, most_mm: float = 5.0, most_deg: float = 1.0) -> list[str]:
+    """In words, along and about which directions the camera's place is known worse than so much (one sigma)."""
+    told = []
+    frame = "flange" if found.mounted == "on-arm" else "base"
+    for name, part, most, scale, unit in (
+        ("translation along", slice(0, 3), most_mm, 1.0, "mm"),
+        ("rotation about", slice(3, 6), most_deg, 180 / np.pi, "deg"),
+    ):
+        values, vectors = np.linalg.eigh(found.covariance[part, part])
+        for value, vector in zip(np.sqrt(np.maximum(values, 0)) * scale, vectors.T, strict=True):
+            if not value <= most:
+                axis = ", ".join(f"{number:.2f}" for number in vector)
+                told.append(f"the camera's {name} ({axis}) of the {frame} is known to +- {value:.2g} {unit} only")
+    return told
+
+
+def _checked(T_base_flange: ArrayLike, target_camera: ArrayLike, mounted: str) -> tuple[Floats, Floats]:
+    carrier = carriers(T_base_flange, mounted)
+    target = np.asarray(target_camera, dtype=float)
+    if carrier.ndim != 3 or carrier.shape[1:] != (4, 4):
+        raise InputError(f"poses have shape {carrier.shape}; expected (N, 4, 4)")
+    if target.shape not in ((len(carrier), 3), (len(carrier), 4, 4)):
+        raise InputError(
+            f"{len(carrier)} poses and targets of shape {target.shape}; expected as many points (N, 3) or poses"
+            " (N, 4, 4)"
+        )
+    if not (np.isfinite(carrier).all() and np.isfinite(target).all()):
+        raise InputError("poses or targets hold NaN or infinity; take those poses out")
+    fewest = FEWEST_POINTS if target.ndim == 2 else FEWEST_POSES
+    if len(carrier) < fewest:
+        raise DegenerateError(
+            f"{len(carrier)} poses; hand-eye needs at least {fewest}, turned about two axes, and 8 or more to find a"
+            " wrong one"
+        )
+    return carrier, target
+
+
+def _residuals(carrier: Floats, target: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats]:
+    """Place (N, 3) in mm and rotation (N, 3) in rad of C_i X p_i against Y."""
+    if target.ndim == 2:
+        camera = target @ X[:3, :3].T + X[:3, 3]
+        place = np.einsum("nij,nj->ni", carrier[:, :3, :3], camera) + carrier[:, :3, 3] - Y[:3, 3]
+        return place, np.full_like(place, np.nan)
+    seen = carrier @ X @ target
+    turn = Rotation.from_matrix(seen[:, :3, :3] @ Y[:3, :3].T).as_rotvec()
+    return seen[:, :3, 3] - Y[:3, 3], turn
+
+
+def _jacobian(carrier: Floats, target: Floats, X: Floats) -> tuple[Floats, Floats]:
+    """Of place and rotation (N, 3, 12) with respect to X (translation, rotation, parent frame) and Y (alike)."""
+    rotation = carrier[:, :3, :3]
+    point = target if target.ndim == 2 else target[:, :3, 3]
+    place, turn = np.zeros((2, len(carrier), 3, 12))
+    place[:, :, :3] = rotation
+    place[:, :, 3:6] = -rotation @ skew(point @ X[:3, :3].T)
+    place[:, :, 6:9] = -np.eye(3)
+    turn[:, :, 3:6] = rotation
+    turn[:, :, 9:] = -np.eye(3)
+    return place, turn
+
+
+def _fit(
+    carrier: Floats,
+    target: Floats,
+    start: Floats,
+    robust: bool = False,
+    iterations: int = 40,
+    keep: Floats | None = None,
+) -> _Fit:
+    """Gauss-Newton on X and Y from a start for X; ``keep`` (N,) are fixed weights."""
+    X, Y = start.copy(), _place_of_target(carrier, target, start)
+    points = target.ndim == 2
+    columns = slice(0, 9) if points else slice(0, 12)
+    weights = np.ones(len(carrier)) if keep is None else keep
+    scale_turn = LEVER_MM
+    for step in range(iterations):
+        place, turn = _residuals(carrier, target, X, Y)
+        J_place, J_turn = _jacobian(carrier, target, X)
+        if not points and step == 6 and len(carrier) >= ROBUST_FROM:
+            size_place, size_turn = (np.median(np.linalg.norm(part, axis=1)) for part in (place, turn))
+            scale_turn = float(np.clip(size_place / max(size_turn, 1e-12), 1.0, 1e5))
+        rows, J = place, J_place
+        if not points:
+            rows = np.concatenate([place, scale_turn * turn], axis=1)
+            J = np.concatenate([J_place, scale_turn * J_turn], axis=1)
+        if robust and keep is None:
+            weights = _weights(np.linalg.norm(rows, axis=1))
+        root = np.sqrt(weights)
+        A = (root[:, None, None] * J)[..., columns].reshape(-1, columns.stop)
+        change = np.zeros(12)
+        change[columns] = np.linalg.lstsq(A, -(root[:, None] * rows).ravel(), rcond=1e-10)[0]
+        X, Y = _moved(X, change[:6]), _moved(Y, change[6:])
+        if np.abs(change[[0, 1, 2, 6, 7, 8]]).max() < 1e-9 and np.abs(change[[3, 4, 5, 9, 10, 11]]).max() < 1e-12:
+            break
+    place, turn = _residuals(carrier, target, X, Y)
+    rows = place if points else np.concatenate([place, scale_turn * turn], axis=1)
+    left = float((weights[:, None] * rows**2).sum())
+    information = A.T @ A
+    free = max(weights.sum() * rows.shape[1] - columns.stop, 1.0)
+    covariance = np.linalg.pinv(information, hermitian=True)[:6, :6] * left / free
+    return _Fit(X, Y, place, turn, weights, covariance, left)
+
+
+def _weights(sizes: Floats) -> Floats:
+    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding."""
+    scale = max(float(np.median(sizes)) / 1.54, 1e-6)
+    return np.clip(1 - (sizes / (6.0 * scale)) ** 2, 0.0, 1.0) ** 2
+
+
+def _moved(transform: Floats, change: Floats) -> Floats:
+    """A transform whose translation moves by change[:3] and whose rotation turns by change[3:], parent frame."""
+    size = float(np.linalg.norm(change[3:]))
+    turn = rotation_about(change[3:], size) if size > 0 else np.eye(3)
+    return rigid(nearest_rotation(turn @ transform[:3, :3]), transform[:3, 3] + change[:3])
+
+
+def _place_of_target(carrier: Floats, target: Floats, X: Floats) -> Floats:
+    if target.ndim == 2:
+        places = [move_points(pose @ X, point) for pose, point in zip(carrier, target, strict=True)]
+        return rigid(translation_mm=np.median(places, axis=0))
+    return mean_rigid(carrier @ X @ target)
+
+
+def _left_out(carrier: Floats, target: Floats, found: _Fit, row: int) -> float:
+    """How far off (mm) a pose puts the target by the place of camera and target that the others give."""
+    keep = np.maximum(found.weights, 1e-9)
+    keep[row] = 0.0
+    fit = _fit(carrier, target, found.X, iterations=8, keep=keep)
+    return float(np.linalg.norm(fit.place[row]))

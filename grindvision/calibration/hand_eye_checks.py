@@ -1,0 +1,159 @@
+"""Mistakes of hand-eye data that the data themselves show: conventions, rows that are swapped, one cloud twice."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.calibration.hand_eye import HandEye, carriers, motion_spread_of, quick_rms_mm
+from grindvision.calibration.pose_conventions import PoseConvention, makers_of, other_conventions, poses_from
+from grindvision.errors import GrindvisionError, InputError
+
+Floats = NDArray[np.float64]
+
+#: A fit that leaves less (mm rms) gives no reason to look for mistakes; one that leaves more is no arm's error.
+GOOD_MM, IMPLAUSIBLE_MM = 2.0, 5.0
+
+#: Another reading of the data is named where it leaves so many times less.
+MUCH_BETTER = 3.0
+
+#: Poses up to which all pairs of rows are tried for a swap.
+MOST_SWAPPED = 14
+
+
+def check_repeated(points: Sequence[ArrayLike], names: Sequence[str]) -> None:
+    """Refuse clouds that are the same measurement.
+
+    Raises:
+        InputError: two have the same points.
+    """
+    for (a, first), (b, second) in combinations(zip(names, points, strict=True), 2):
+        if np.shape(first) == np.shape(second) and np.array_equal(first, second):
+            raise InputError(
+                f"{b} has the same points as {a}: one cloud twice; every pose needs a cloud of its own (leave one of"
+                " the two and its pose out)"
+            )
+
+
+def check_pose_rows(poses: Floats) -> list[str]:
+    """In words, poses (N, 4, 4) that stand in the table twice."""
+    told = []
+    for i, j in combinations(range(len(poses)), 2):
+        if np.abs(poses[i] - poses[j]).max() < 1e-6:
+            told.append(
+                f"poses {i + 1} and {j + 1} are the same: a pose copied twice, or taken twice? It counts as one"
+            )
+    return told[:3]
+
+
+def refuse_better_reading(
+    rows: Floats, stated: PoseConvention, target: Floats, mounted: str, names: Sequence[str]
+) -> None:
+    """Refuse data that fit badly as stated where another common reading of them fits much better, and name it.
+
+    Args:
+        rows: numbers of the poses (N, C).
+        stated: how they are said to be read.
+        target: points (N, 3) or poses (N, 4, 4) of the target, camera frame.
+        mounted: see ``HandEyeOptions``.
+        names: of the clouds, in order.
+
+    Raises:
+        InputError: names the other convention, or the order of the clouds.
+    """
+    carrier = carriers(poses_from(rows, stated), mounted)
+    left = quick_rms_mm(carrier, target)
+    if left <= GOOD_MM:
+        return
+    ranked = rank_conventions(rows, target, mounted, other_conventions(stated, rows))
+    if ranked and ranked[0][0] * MUCH_BETTER < left and len(target) > 4:
+        best, other = ranked[0]
+        hint = " or is --mounted the other one?" if other.inverted != stated.inverted else ""
+        raise InputError(
+            f"with the stated {stated} the target's places differ by {left:.3g} mm rms, with {other}{makers_of(other)}"
+            f" by {best:.2g} mm: {left / max(best, 1e-9):.0f} times less; is that what the controller shows?{hint}"
+        )
+    if (text := _better_order(carrier, target, left, names)) and len(target) > 5:
+        raise InputError(text)
+
+
+def rank_conventions(
+    rows: Floats, target: Floats, mounted: str, tried: Iterator[PoseConvention]
+) -> list[tuple[float, PoseConvention]]:
+    """What each convention leaves, mm rms, the best first; those under which the poses hardly turn take no part."""
+    found = []
+    for other in tried:
+        try:
+            carrier = carriers(poses_from(rows, other), mounted)
+        except GrindvisionError:
+            continue
+        if motion_spread_of(carrier) is not None:
+            found.append((quick_rms_mm(carrier, target), other))
+    return sorted(found, key=lambda item: (round(item[0], 6), str(item[1])))
+
+
+def refuse_implausible(found: HandEye) -> None:
+    """Refuse a fit that leaves more than any arm's error.
+
+    Raises:
+        InputError: with the size, and what may be wrong.
+    """
+    size = float(np.sqrt(np.average((found.residuals_mm**2).sum(axis=1), weights=found.weights + 1e-12)))
+    if size > IMPLAUSIBLE_MM or (found.weights < 0.1).mean() > 0.4:
+        raise InputError(
+            f"poses and clouds do not belong together: the target's places differ by {found.rms_mm:.3g} mm rms, and no"
+            " common convention or order of the rows fits better; did the target rest, was the arm still, is the pose"
+            " that of the flange (or of one tool) throughout?"
+        )
+
+
+def outliers(found: HandEye, names: Sequence[str]) -> list[str]:
+    """In words, poses that do not fit the others."""
+    return [
+        f"pose {row + 1} ({names[row]}) does not fit the others: it puts the target {found.left_out_mm[row]:.1f} mm off"
+        " and has almost no weight; wrong row, moved target, arm not at rest?"
+        for row in np.flatnonzero(found.weights < 0.1).tolist()
+    ]
+
+
+def natural_order(names: Sequence[str]) -> list[int]:
+    """Rows in the order of the numbers in their names: view2 before view10."""
+
+    def key(row: int) -> list[tuple[int, str]]:
+        return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", names[row]) if part]
+
+    return sorted(range(len(names)), key=key)
+
+
+def _better_order(carrier: Floats, target: Floats, left: float, names: Sequence[str]) -> str:
+    """In words, another order of the clouds under which they fit the poses much better; empty where there is none."""
+    n = len(target)
+    best, word = left, ""
+    for order, text in _orders(n, names):
+        size = quick_rms_mm(carrier, target[order])
+        if size < best:
+            best, word = size, text
+    if best * MUCH_BETTER > left:
+        return ""
+    return (
+        f"the target's places differ by {left:.3g} mm rms, by {best:.2g} mm {word}; mend the order of poses and clouds"
+    )
+
+
+def _orders(n: int, names: Sequence[str]) -> Iterator[tuple[list[int], str]]:
+    plain = list(range(n))
+    natural = natural_order(names)
+    if natural != plain:
+        yield natural, "with the clouds in the order of the numbers in their names"
+    yield plain[::-1], "with the clouds in reverse order"
+    for shift in (1, -1):
+        yield list(np.roll(plain, shift)), "with the clouds shifted by one row against the poses"
+    if n <= MOST_SWAPPED:
+        for i, j in combinations(plain, 2):
+            order = plain.copy()
+            order[i], order[j] = j, i
+            yield order, f"with {names[i]} and {names[j]} (rows {i + 1} and {j + 1}) swapped"

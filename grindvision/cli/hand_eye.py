@@ -1,0 +1,207 @@
+"""``grindvision hand-eye``: clouds and the controller's poses in, where the camera sits out."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from grindvision.cli.report import Run, add_output_arguments
+from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
+from grindvision.errors import GrindvisionWarning, InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from grindvision.calibration.hand_eye import HandEye
+    from grindvision.calibration.pose_conventions import PoseConvention
+
+EPILOG = """\
+POSES holds a line for every cloud, in their order: the flange's (or one tool's) pose in the base frame as the
+controller shows it, x y z and the rotation. Say how the rotation is written: by the maker (ur, ur-rpy, abb, kuka,
+fanuc, yaskawa, staubli, doosan) or as rotation-vector, quaternion-wxyz, quaternion-xyzw, matrix, or Euler axes: ZYX
+about axes that move along, zyx about fixed ones. Left out, the command says what fits and asks.
+
+The target rests while the arm carries the camera (--mounted on-arm), or sits on the flange in front of a fixed camera
+(--mounted fixed). Turn the arm by 20 deg and more about two axes, and let the sphere appear all over the view.
+
+results in DIR:
+  hand_eye.json    T_flange_camera (T_base_camera when fixed), 4x4, mm, T_a_b @ p_b = p_a; covariance, convention
+  poses.csv        for every pose: where it puts the target, its error, its error when it took no part
+  report.png       did it work? errors of the poses
+  report.json      the numbers, timings, versions, parameters; written last
+
+exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
+
+example:
+  grindvision hand-eye poses.txt view*.ply --rotation ur --pose-unit m --target sphere:38.1 -o camera
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this command."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
+    data = parser.add_argument_group("poses and clouds")
+    data.add_argument("poses", metavar="POSES", help="table of controller poses, a row for every cloud")
+    data.add_argument("clouds", nargs="+", metavar="CLOUD", help=f"clouds in the camera's frame ({CLOUD_FORMATS})")
+    add_unit_argument(data)
+    data.add_argument("--target", required=True, metavar="sphere:DIAMETER_MM", help="what rests: a sphere, by diameter")
+    data.add_argument(
+        "--mounted", choices=("on-arm", "fixed"), default="on-arm", help="where the camera is (default on-arm)"
+    )
+    how = parser.add_argument_group("how the poses are written")
+    how.add_argument("--rotation", metavar="NAME", help="maker or notation of the rotation, see below")
+    how.add_argument("--angles", choices=("deg", "rad"), help="unit of Euler angles (default: the maker's)")
+    how.add_argument("--pose-unit", choices=("mm", "m"), default="mm", help="unit of the positions (default mm)")
+    how.add_argument("--rotation-first", action="store_true", help="the rotation stands before the position")
+    how.add_argument("--inverse-poses", action="store_true", help="the poses are T_flange_base")
+    parser.add_argument("--seed", type=int, default=0, help="of the random draws (default 0)")
+    add_output_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run it."""
+    diameter = _diameter(options.target)
+    from grindvision.calibration.hand_eye import FEWEST_POINTS, HandEyeOptions, free_directions, hand_eye
+    from grindvision.calibration.hand_eye_checks import (
+        check_pose_rows,
+        outliers,
+        refuse_better_reading,
+        refuse_implausible,
+    )
+    from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
+    from grindvision.cli.pictures import drawing
+
+    rows = read_pose_rows(options.poses)
+    stated = None
+    if options.rotation is not None:
+        flags = {"rotation_first": options.rotation_first, "inverted": options.inverse_poses}
+        stated = convention(options.rotation, options.angles, options.pose_unit, **flags)
+    _check_counts(len(rows), len(options.clouds), FEWEST_POINTS)
+    draw = drawing("hand_eye_picture")
+    with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
+        poses = None if stated is None else poses_from(rows, stated, options.poses)
+        with work.stage("read"):
+            clouds = _read(options)
+        with work.stage("target"):
+            centres, sigmas = _sphere_centres(clouds, options, diameter)
+        if stated is None or poses is None:
+            raise InputError(_suggestion(rows, centres, options))
+        with work.stage("solve"):
+            refuse_better_reading(rows, stated, centres, options.mounted, [Path(name).name for name in options.clouds])
+            found = hand_eye(poses, centres, HandEyeOptions(options.mounted))
+            refuse_implausible(found)
+        for text in [*check_pose_rows(poses), *outliers(found, options.clouds), *free_directions(found)]:
+            warnings.warn(text, GrindvisionWarning, stacklevel=1)
+        with work.stage("write"):
+            _write(found, stated, options, work.place)
+            draw(found, options.clouds, work.warnings, work.place / "report.png")
+        results = {
+            "rms_mm": found.rms_mm,
+            "left_out_mm": found.left_out_mm,
+            "camera_sigma_of_centre_mm": sigmas,
+            "motions_deg": found.spread_deg,
+            "sigma_mm": found.sigma_mm,
+            "sigma_deg": found.sigma_deg,
+        }
+        work.report(str(found), results, {"convention": str(stated)}, questions=[_where(found)])
+    return 0
+
+
+def _diameter(target: str) -> float:
+    kind, _, size = target.partition(":")
+    try:
+        diameter = float(size)
+    except ValueError:
+        diameter = 0.0
+    if kind != "sphere" or not 0 < diameter < 1000:
+        raise InputError(f"--target {target}: say sphere:DIAMETER_MM, as in sphere:38.1")
+    return diameter
+
+
+def _check_counts(poses: int, clouds: int, fewest: int) -> None:
+    if poses != clouds:
+        raise InputError(f"{poses} poses and {clouds} clouds; every cloud needs its pose, a row each, in their order")
+    if poses < fewest:
+        raise InputError(
+            f"{poses} poses; hand-eye from a sphere needs at least {fewest} turned about two axes, 8 or more to find a"
+            " wrong one"
+        )
+
+
+def _read(options: argparse.Namespace) -> list[np.ndarray]:
+    from grindvision.calibration.hand_eye_checks import check_repeated
+    from grindvision.clouds import finite_points
+
+    clouds = read_scans(options.clouds, options.unit)
+    points = [finite_points(cloud, path) for cloud, path in zip(clouds, options.clouds, strict=True)]
+    check_repeated(points, options.clouds)
+    return points
+
+
+def _sphere_centres(
+    clouds: list[np.ndarray], options: argparse.Namespace, diameter: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (N, 3) in the camera's frame, and the largest standard deviation (N,) of each, mm."""
+    import numpy as np
+
+    from grindvision.calibration.sphere_search import cut_out_sphere
+
+    streams = np.random.default_rng(options.seed).spawn(len(clouds))
+    fits = [
+        cut_out_sphere(points, diameter, rng, name)
+        for points, rng, name in zip(clouds, streams, options.clouds, strict=True)
+    ]
+    sigmas = np.array([np.sqrt(np.linalg.eigvalsh(fit.centre_covariance)[-1]) for fit in fits])
+    return np.array([fit.centre_mm for fit in fits]), sigmas
+
+
+def _suggestion(rows: np.ndarray, target: np.ndarray, options: argparse.Namespace) -> str:
+    """Asks for ``--rotation``, with the conventions that fit best."""
+    from grindvision.calibration.hand_eye_checks import rank_conventions
+    from grindvision.calibration.pose_conventions import COMMON, COUNTS, PoseConvention, makers_of, other_conventions
+
+    first = PoseConvention(COMMON[COUNTS[rows.shape[1]]][0])
+    tried = [first, *other_conventions(first, rows)]
+    ranked = rank_conventions(rows, target, options.mounted, iter(tried))[:2]
+    if not ranked:
+        return "--rotation is missing: say how the poses are written; `grindvision hand-eye --help` lists the names"
+    told = "; ".join(f"{other}{makers_of(other)} leaves {size:.3g} mm rms" for size, other in ranked)
+    return f"--rotation is missing: say how the poses are written. Best by the data: {told}"
+
+
+def _write(found: HandEye, stated: PoseConvention, options: argparse.Namespace, place: Path) -> None:
+    import numpy as np
+
+    from grindvision.files import write_json, write_text
+
+    parent, other = ("flange", "base") if options.mounted == "on-arm" else ("base", "flange")
+    content = {
+        f"T_{parent}_camera": found.T_parent_camera,
+        "mounted": options.mounted,
+        f"target_{other}_mm": found.target[:3, 3],
+        "covariance": found.covariance,
+        "rms_mm": found.rms_mm,
+        "convention": str(stated),
+    }
+    write_json(place / "hand_eye.json", content)
+    lines = [f"pose,cloud,x_{other}_mm,y_{other}_mm,z_{other}_mm,error_mm,left_out_mm,weight"]
+    sizes = np.linalg.norm(found.residuals_mm, axis=1)
+    for row, name in enumerate(options.clouds):
+        x, y, z = found.target[:3, 3] + found.residuals_mm[row]
+        safe = Path(name).name.replace('"', '""')
+        lines.append(
+            f'{row + 1},"{safe}",{x:.4f},{y:.4f},{z:.4f},{sizes[row]:.4f},{found.left_out_mm[row]:.4f},'
+            f"{found.weights[row]:.4f}"
+        )
+    write_text(place / "poses.csv", "\n".join(lines) + "\n")
+
+
+def _where(found: HandEye) -> str:
+    x, y, z, a, b, c = *found.T_parent_camera[:3, 3], *found.T_parent_camera[:3, 2]
+    frame = "flange" if found.mounted == "on-arm" else "base"
+    return (
+        f"camera at ({x:.1f}, {y:.1f}, {z:.1f}) mm in the {frame} frame, looking along ({a:.2f}, {b:.2f}, {c:.2f}): is"
+        " that where it sits?"
+    )

@@ -1,0 +1,52 @@
+"""A camera on or beside an arm that sees a target: poses and what the camera sees of it, with the truth known."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from grindvision.geometry import inverse, move_points, rigid
+
+#: T_flange_camera of the scene.
+X = rigid(Rotation.from_euler("xyz", [4.0, -3.0, 40.0], degrees=True).as_matrix(), [60.0, -30.0, 80.0])
+
+#: Where the target rests in the base frame, mm.
+TARGET = np.array([500.0, 100.0, 50.0])
+
+
+def looking_poses(rng, n=10, turn_deg=25.0):
+    """Poses T_base_flange (n, 4, 4) from which the camera looks at the target from above, turned about all axes."""
+    down = np.diag([1.0, -1.0, -1.0])
+    poses = []
+    for _ in range(n):
+        turned = down @ Rotation.from_rotvec(np.radians(rng.uniform(-turn_deg, turn_deg, 3))).as_matrix()
+        seen_at = np.array([*rng.uniform(-60, 60, 2), rng.uniform(330, 470)])
+        T_base_camera = rigid(turned, TARGET - turned @ seen_at)
+        poses.append(T_base_camera @ inverse(X))
+    return np.array(poses)
+
+
+def seen_points(poses, rng, arm_mm=0.0):
+    """The target's points (n, 3) in the camera's frame; the arm stands off what it says by so much."""
+    return np.array([move_points(inverse(pose @ X), TARGET + arm_mm * rng.normal(size=3)) for pose in poses])
+
+
+def seen_poses(poses, rng, arm_mm=0.0, arm_rad=0.0):
+    """The target's poses (n, 4, 4) in the camera's frame."""
+    off = [
+        rigid(Rotation.from_rotvec(arm_rad * rng.normal(size=3)).as_matrix(), TARGET + arm_mm * rng.normal(size=3))
+        for _ in poses
+    ]
+    return inverse(poses @ X) @ np.array(off)
+
+
+def sphere_view(centre, radius, rng, n=1500, noise_mm=0.1):
+    """Points of the side of a sphere that a camera at the origin sees, on a table, beside a box and with strays."""
+    towards = -centre / np.linalg.norm(centre)
+    rays = rng.normal(size=(4 * n, 3))
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    rays = rays[rays @ towards > 0.25][:n]
+    table = np.column_stack([rng.uniform(-150, 150, (4 * n, 2)), np.full(4 * n, centre[2] + radius)])
+    box = centre + [90.0, 20.0, 0.0] + np.column_stack([rng.uniform(-30, 30, (n, 2)), np.zeros(n)])
+    strays = centre + rng.uniform(-100, 100, (60, 3))
+    return np.vstack([centre + radius * rays, table, box, strays]) + noise_mm * rng.normal(
+        size=(len(rays) + 5 * n + 60, 3)
+    )

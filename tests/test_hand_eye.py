@@ -1,0 +1,228 @@
+"""Hand-eye from poses alone: truth recovered within what is stated, in every convention; mistakes named."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from grindvision.calibration.hand_eye import HandEyeOptions, free_directions, hand_eye
+from grindvision.calibration.hand_eye_checks import outliers, refuse_better_reading, refuse_implausible
+from grindvision.calibration.hand_eye_starts import by_dual_quaternions, by_rotation_vectors, pair_motions
+from grindvision.calibration.pose_conventions import MAKERS, convention, poses_from, read_pose_rows
+from grindvision.calibration.sphere_search import cut_out_sphere
+from grindvision.cli import main
+from grindvision.clouds import write_ply
+from grindvision.errors import DegenerateError, FileError, InputError
+from grindvision.geometry import angle_between, inverse, rigid
+from tests.hand_eye_scene import TARGET, X, looking_poses, seen_points, seen_poses, sphere_view
+
+
+def scene(seed=0, n=10, **errors):
+    rng = np.random.default_rng(seed)
+    poses = looking_poses(rng, n)
+    return poses, seen_points(poses, rng, **errors)
+
+
+def rows_of(poses, rotation="xyz", degrees=True, metres=False):
+    """A table of poses as a controller shows it."""
+    turns = Rotation.from_matrix(poses[:, :3, :3])
+    if rotation == "rotation-vector":
+        turned = turns.as_rotvec(degrees=degrees)
+    elif rotation.startswith("quaternion"):
+        turned = turns.as_quat()[:, [3, 0, 1, 2] if rotation.endswith("wxyz") else [0, 1, 2, 3]]
+    else:
+        turned = turns.as_euler(rotation, degrees=degrees)
+    return np.hstack([poses[:, :3, 3] / (1000 if metres else 1), turned])
+
+
+@pytest.mark.parametrize("mounted", ["on-arm", "fixed"])
+@pytest.mark.parametrize("kind", ["points", "poses"])
+def test_exact_data_give_the_truth(mounted, kind):
+    rng = np.random.default_rng(1)
+    poses = looking_poses(rng)
+    target = seen_points(poses, rng) if kind == "points" else seen_poses(poses, rng)
+    given = poses if mounted == "on-arm" else inverse(poses)
+    found = hand_eye(given, target, HandEyeOptions(mounted))
+    assert np.abs(found.T_parent_camera - X).max() < 1e-6
+    assert np.abs(found.target[:3, 3] - TARGET).max() < 1e-5
+    assert found.rms_mm < 1e-6
+
+
+def test_two_closed_forms_agree_on_exact_motions():
+    rng = np.random.default_rng(2)
+    poses = looking_poses(rng, 6)
+    A, B = pair_motions(poses, seen_poses(poses, rng))
+    for closed in (by_rotation_vectors(A, B), by_dual_quaternions(A, B)):
+        assert closed is not None and np.abs(closed - X).max() < 1e-6
+
+
+def test_truth_lies_within_the_stated_uncertainty():
+    off = []
+    for seed in range(10):
+        poses, points = scene(seed, 12, arm_mm=0.4)
+        found = hand_eye(poses, points)
+        change = np.concatenate(
+            [
+                X[:3, 3] - found.T_parent_camera[:3, 3],
+                Rotation.from_matrix(X[:3, :3] @ found.T_parent_camera[:3, :3].T).as_rotvec(),
+            ]
+        )
+        off.append(change @ np.linalg.solve(found.covariance, change))
+    assert 3.0 < np.median(off) < 10.0  # chi squared of six: 5.3; the residuals' own scale widens it
+
+
+def test_order_of_the_poses_and_the_place_of_the_base_change_nothing():
+    poses, points = scene(3, arm_mm=0.3)
+    found = hand_eye(poses, points)
+    order = np.random.default_rng(0).permutation(len(poses))
+    moved = rigid(Rotation.from_rotvec([0.3, -0.5, 1.0]).as_matrix(), [100.0, 2000.0, -50.0])
+    for other in (hand_eye(poses[order], points[order]), hand_eye(moved @ poses, points)):
+        assert np.abs(other.T_parent_camera - found.T_parent_camera).max() < 1e-5
+        assert other.rms_mm == pytest.approx(found.rms_mm, abs=1e-6)
+
+
+def test_one_wrong_pose_is_told_and_does_no_harm():
+    poses, points = scene(4, 12, arm_mm=0.2)
+    points[5] += [12.0, -8.0, 5.0]
+    found = hand_eye(poses, points)
+    assert np.linalg.norm(found.T_parent_camera[:3, 3] - X[:3, 3]) < 5 * found.sigma_mm.max()
+    assert [text.split(" ")[1] for text in outliers(found, [f"v{k}" for k in range(12)])] == ["6"]
+
+
+def test_motions_about_one_axis_are_refused_with_the_axis():
+    poses = np.array(
+        [rigid(Rotation.from_rotvec([0, 0, a]).as_matrix(), [a * 100, 50, 300]) for a in np.linspace(0, 2, 8)]
+    )
+    with pytest.raises(DegenerateError, match=r"one axis, \(0.00, 0.00, 1.00\) in the flange frame"):
+        hand_eye(poses, np.random.default_rng(0).normal(size=(8, 3)))
+    still = np.tile(np.eye(4), (6, 1, 1))
+    with pytest.raises(DegenerateError, match="hardly turn"):
+        hand_eye(still, np.zeros((6, 3)))
+
+
+def test_a_target_in_one_place_of_the_view_leaves_the_rotation_open_and_says_so():
+    rng = np.random.default_rng(5)
+    poses = looking_poses(rng, 9)
+    poses = np.array(
+        [rigid(pose[:3, :3], TARGET - pose[:3, :3] @ (X[:3, :3] @ [0, 0, 400] + X[:3, 3])) for pose in poses]
+    )
+    found = hand_eye(poses, seen_points(poses, rng, arm_mm=0.5))
+    assert any("rotation about" in text for text in free_directions(found))
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_every_maker_s_numbers_give_the_pose_back(maker):
+    poses = looking_poses(np.random.default_rng(6), 5)
+    stated = convention(maker)
+    assert np.abs(poses_from(rows_of(poses, stated.rotation, stated.angles == "deg"), stated) - poses).max() < 1e-9
+
+
+def test_inverse_and_metres_and_order_are_read_as_said():
+    poses = looking_poses(np.random.default_rng(7), 4)
+    rows = rows_of(inverse(poses), "rotation-vector", degrees=False, metres=True)
+    stated = convention("ur", length="m", inverted=True)
+    assert np.abs(poses_from(rows, stated) - poses).max() < 1e-9
+    swapped = np.hstack([rows[:, 3:], rows[:, :3]])
+    assert (
+        np.abs(poses_from(swapped, convention("ur", length="m", inverted=True, rotation_first=True)) - poses).max()
+        < 1e-9
+    )
+
+
+MISREAD = {
+    "degrees": ("xyz", True, "xyz", {"angles": "rad"}, "--angles deg"),
+    "radians": ("xyz", False, "xyz", {"angles": "deg"}, "--angles rad"),
+    "order of Euler angles": ("ZYX", True, "fanuc", {}, "ZYX --angles deg .*kuka"),
+    "rotation vector": ("rotation-vector", False, "ur-rpy", {}, "rotation-vector .*ur"),
+    "quaternion": ("quaternion-xyzw", False, "abb", {}, "quaternion-xyzw"),
+    "metres": ("xyz", True, "fanuc", {"length": "mm"}, "--pose-unit m "),
+    "inverse": ("xyz", True, "fanuc", {"inverted": True}, "--mounted"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISREAD)
+def test_a_wrong_convention_is_named_with_how_much_better_the_right_one_is(mistake):
+    rotation, degrees, stated, more, said = MISREAD[mistake]
+    poses, points = scene(8, 9, arm_mm=0.3)
+    rows = rows_of(poses, rotation, degrees, metres=mistake == "metres")
+    with pytest.raises(InputError, match="times less") as refused:
+        refuse_better_reading(rows, convention(stated, **more), points, "on-arm", [f"v{k}" for k in range(9)])
+    assert re.search(said, str(refused.value))
+
+
+def test_the_right_convention_and_order_are_left_alone():
+    poses, points = scene(8, 9, arm_mm=0.3)
+    names = [f"v{k}" for k in range(9)]
+    refuse_better_reading(rows_of(poses), convention("fanuc"), points, "on-arm", names)
+
+
+def test_swapped_rows_are_named():
+    poses, points = scene(9, 9, arm_mm=0.3)
+    points[[2, 6]] = points[[6, 2]]
+    with pytest.raises(InputError, match=r"v2 and v6 \(rows 3 and 7\) swapped"):
+        refuse_better_reading(rows_of(poses), convention("fanuc"), points, "on-arm", [f"v{k}" for k in range(9)])
+
+
+def test_poses_of_another_day_are_refused():
+    poses, _ = scene(10, 9)
+    _, points = scene(11, 9)
+    with pytest.raises(InputError, match="do not belong together"):
+        refuse_implausible(hand_eye(poses, points))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sphere_is_cut_out_of_clutter(seed):
+    rng = np.random.default_rng(seed)
+    centre = np.array([10.0, -20.0, 400.0])
+    view = sphere_view(centre, 19.05, rng)
+    found = cut_out_sphere(view, 38.1, np.random.default_rng(seed), "view")
+    assert np.linalg.norm(found.centre_mm - centre) < 0.15
+    with pytest.raises(DegenerateError, match="no sphere of diameter 80 mm"):
+        cut_out_sphere(view, 80.0, np.random.default_rng(seed), "view")
+
+
+def folder_of_views(folder, n=6):
+    poses, points = scene(12, n, arm_mm=0.2)
+    rng = np.random.default_rng(0)
+    for row, point in enumerate(points):
+        write_ply(folder / f"v{row}.ply", sphere_view(point, 19.05, rng, 500))
+    np.savetxt(folder / "poses.txt", rows_of(poses), fmt="%.9f")
+    return [str(folder / "poses.txt"), *(str(folder / f"v{row}.ply") for row in range(n))]
+
+
+def test_the_command_writes_its_set_and_refuses_without_writing(tmp_path, capsys):
+    words = folder_of_views(tmp_path)
+    target, out = ["--target", "sphere:38.1"], ["-o", str(tmp_path / "camera")]
+    refused = {
+        "every cloud needs its pose": [*words[:-1], *target, "--rotation", "fanuc"],
+        "one cloud twice": [*words[:-1], words[1], *target, "--rotation", "fanuc"],
+        "--rotation is missing.* --rotation xyz --angles deg": [*words, *target],
+        "say sphere:DIAMETER_MM": [*words, "--target", "sphere", "--rotation", "fanuc"],
+        "is unknown": [*words, *target, "--rotation", "robot"],
+    }
+    for said, given in refused.items():
+        assert main(["hand-eye", *given, *out]) == 2
+        assert re.search(said, capsys.readouterr().err)
+        assert not (tmp_path / "camera").exists()
+    assert main(["hand-eye", *words, *target, "--rotation", "fanuc", *out]) == 0
+    written = json.loads((tmp_path / "camera" / "hand_eye.json").read_text())
+    sigma = np.sqrt(np.diag(written["covariance"]))
+    found = np.array(written["T_flange_camera"])
+    assert np.linalg.norm(found[:3, 3] - X[:3, 3]) < 5 * sigma[:3].max()
+    assert angle_between(found, X) < 5 * sigma[3:].max()
+    assert {path.name for path in (tmp_path / "camera").iterdir()} == {
+        "hand_eye.json", "poses.csv", "report.png", "report.json", "parameters.toml",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "no rows"), ("1 2 3\n", "3 numbers a line"), ("1 2 3 4 5 6\n1 2 3 4 5\n", "line 2 has 5"),
+     ("1 2 3 4 5 6\na b c d e f\n", "line 2 is no row"), ("1 2 3 4 5 nan\n", "line 1 holds NaN")],
+)  # fmt: skip
+def test_damaged_tables_are_refused(tmp_path, text, said):
+    (tmp_path / "p.txt").write_text(text)
+    with pytest.raises(FileError, match=said):
+        read_pose_rows(tmp_path / "p.txt")
