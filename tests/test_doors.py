@@ -64,6 +64,7 @@ def doors(good, path):  # noqa: F811
     yield "calibrate", path, "--robot", good / "r.csv"
     yield "calibrate", good / "m.csv", "--robot", path
     yield "calibrate-field", path.with_name(path.name + ".npy"), "--steps-mm", "0"
+    yield "hand-eye", path, cloud, "--target", "sphere:38.1"
 
 
 _opened: list[str] | None = None

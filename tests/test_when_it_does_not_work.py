@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import grindvision_book
 from grindvision.arm import read_arm, write_arm
@@ -19,6 +20,7 @@ from grindvision.vision.seam.groove_fit import MIN_POINTS_ACROSS, MIN_WALL_SLOPE
 from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 from tests.groove_scenes import cloud, grid, straight_groove, vee
+from tests.hand_eye_scene import TARGET, looking_poses, seen_points, sphere_view
 
 PAGE = Path(grindvision_book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
@@ -272,6 +274,35 @@ def shiny(folder):
     rng = np.random.default_rng(1)
     points, inside = straight_groove(rng, spacing_mm=0.4)
     return seam(folder, points[~inside | (rng.random(len(points)) < 0.2)])
+
+
+def sphere_from(folder: Path, poses: np.ndarray, angles: str) -> list[object]:
+    """Words of ``hand-eye`` for a sphere seen from poses, whose Euler angles are in degrees."""
+    rng = np.random.default_rng(1)
+    for row, centre in enumerate(seen_points(poses, rng)):
+        write_ply(folder / f"v{row}.ply", sphere_view(centre, 19.05, rng, 500))
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_euler("xyz", degrees=True)
+    np.savetxt(folder / "poses.txt", np.hstack([poses[:, :3, 3], turns]))
+    views = [folder / f"v{row}.ply" for row in range(len(poses))]
+    read = ["--rotation", "xyz", "--angles", angles]
+    return ["hand-eye", folder / "poses.txt", *views, "--target", "sphere:38.1", *read]
+
+
+@mistake("The poses are read in another way than they were written")
+def degrees_as_radians(folder):
+    return sphere_from(folder, looking_poses(np.random.default_rng(3), 7), "rad")
+
+
+@mistake("All poses turn about one axis")
+def one_axis(folder):
+    first = looking_poses(np.random.default_rng(3), 1)[0]
+    at_sphere = first.copy()
+    at_sphere[:3, 3] = TARGET
+    poses = []
+    for row in range(6):
+        swung = at_sphere @ rigid(rotation_about([0.0, 1.0, 0.0], 0.15 * row)) @ np.linalg.inv(at_sphere) @ first
+        poses.append(swung + rigid(translation_mm=[4.0 * row, -3.0 * row, 0]) - np.eye(4))
+    return sphere_from(folder, np.array(poses), "deg")
 
 
 def flat_plates(folder: Path, steps: np.ndarray, *, bent: float = 0.0) -> list[object]:
