@@ -183,6 +183,16 @@ def test_a_sphere_is_cut_out_of_clutter(seed):
         cut_out_sphere(view, 80.0, np.random.default_rng(seed), "view")
 
 
+def test_a_round_thing_of_the_sphere_s_size_is_no_sphere():
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(6000, 3))
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    rays = rays[rays[:, 2] < -0.2]
+    bumps = 1 + 0.06 * np.sin(9 * rays[:, 0]) * np.cos(8 * rays[:, 1])
+    with pytest.raises(DegenerateError, match="no sphere"):
+        cut_out_sphere(50.0 * rays * bumps[:, None] + [0, 0, 400.0], 100.0, np.random.default_rng(0), "head")
+
+
 def folder_of_views(folder, n=6):
     poses, points = scene(12, n, arm_mm=0.2)
     rng = np.random.default_rng(0)

@@ -103,7 +103,7 @@ def refuse_implausible(found: HandEye) -> None:
         InputError: with the size, and what may be wrong.
     """
     size = float(np.sqrt(np.average((found.residuals_mm**2).sum(axis=1), weights=found.weights + 1e-12)))
-    if size > IMPLAUSIBLE_MM or (found.weights < 0.1).mean() > 0.4:
+    if size > IMPLAUSIBLE_MM or (found.weights < 0.1).mean() > 0.25:
         raise InputError(
             f"poses and clouds do not belong together: the target's places differ by {found.rms_mm:.3g} mm rms, and no"
             " common convention or order of the rows fits better; did the target rest, was the arm still, is the pose"

@@ -21,8 +21,8 @@ THRESHOLD_RADII, THRESHOLDS_MM = 0.0125, (0.3, 1.5)
 #: The radius of a trial may differ from the stated one by this share, that of the points found by this one.
 TRIAL_TOLERANCE, RADIUS_TOLERANCE = 0.15, 0.04
 
-#: Points of a sphere at least, and how far (radii) the cap must reach across.
-FEWEST_POINTS, LEAST_REACH = 60, 0.5
+#: Points of a sphere at least, how far (radii) the cap must reach across, and the share of points there that lie on it.
+FEWEST_POINTS, LEAST_REACH, LEAST_SHARE = 60, 0.5, 0.85
 
 
 def cut_out_sphere(points_camera: ArrayLike, diameter_mm: float, rng: np.random.Generator, name: str) -> SphereFit:
@@ -41,7 +41,7 @@ def cut_out_sphere(points_camera: ArrayLike, diameter_mm: float, rng: np.random.
             found = find_sphere(crop, rng, radius, threshold)
         except DegenerateError:
             found = None
-        if found is not None and _is_a_cap(crop[found.inliers], found):
+        if found is not None and _is_a_cap(crop, found):
             free = fit_sphere(crop[found.inliers])
             doubt = 4 * free.rms_mm + RADIUS_TOLERANCE * radius
             if abs(free.radius_mm - radius) <= doubt:
@@ -89,11 +89,17 @@ def _centres(drawn: Floats, radius: float) -> Floats:
     return np.asarray(first[fits] + offset[fits])
 
 
-def _is_a_cap(used: Floats, fit: SphereFit) -> bool:
-    """Whether enough points reach far enough over the sphere: a small disc fits any flat thing."""
-    if len(used) < FEWEST_POINTS:
+def _is_a_cap(points: Floats, fit: SphereFit) -> bool:
+    """Whether enough points reach far enough over the sphere, and few stand off it there.
+
+    A small disc fits any flat thing; a head or a fruit has a sphere's size and points beside its surface.
+    """
+    if fit.inliers.sum() < FEWEST_POINTS:
         return False
-    rays = (used - fit.centre_mm) / fit.radius_mm
-    pole = rays.mean(axis=0) / np.linalg.norm(rays.mean(axis=0))
-    across = np.linalg.norm(rays - (rays @ pole)[:, None] * pole, axis=1)
-    return bool(np.quantile(across, 0.95) > LEAST_REACH)
+    rays = (points - fit.centre_mm) / fit.radius_mm
+    distance = np.linalg.norm(rays, axis=1)
+    pole = rays[fit.inliers].mean(axis=0) / np.linalg.norm(rays[fit.inliers].mean(axis=0))
+    along = rays @ pole / np.maximum(distance, 1e-9)
+    inside = (along > np.quantile(along[fit.inliers], 0.2)) & (distance > 0.5) & (distance < 1.3)
+    across = np.sqrt(np.maximum(1 - along[fit.inliers] ** 2, 0.0))
+    return bool(np.quantile(across, 0.95) > LEAST_REACH and fit.inliers[inside].mean() > LEAST_SHARE)
