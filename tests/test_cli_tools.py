@@ -184,6 +184,7 @@ def test_an_arm_from_a_table_carries_the_torch(tmp_path, capsys):
     options = types.SimpleNamespace(
         robot=str(tmp_path / "arm.csv"), scanner_pose=str(tmp_path / "pose.json"), flange=None, program=None,
         torch_speed=None, table_top=None, seed=0, send=None, yes=False, anywhere=False,
+        tool=None, stick_out=None, arc=None, arc_output=None, arc_setpoint=None, arc_data=None,
     )  # fmt: skip
     robot = robot_job(options).robot
     assert robot.joints == ("J1", "J2") and robot.name == "arm"

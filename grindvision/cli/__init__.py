@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import atexit
 import importlib
 import os
 import sys
@@ -44,10 +43,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
     with sound_streams():
-        return _judged(name, words, own_process=arguments is None)
+        code, interrupted = _judged(name, words)
+    if interrupted and arguments is None:
+        os._exit(code)  # a tidy end meets threads in compiled code, and aborts now and then
+    return code
 
 
-def _judged(name: str, words: list[str], own_process: bool) -> int:
+def _judged(name: str, words: list[str]) -> tuple[int, bool]:
+    """The exit code, and whether a signal ended the run."""
+    try:
+        return _told(name, words), False
+    except KeyboardInterrupt as error:
+        return _failure(name, "interrupted; nothing half-written is left", getattr(error, "exit_code", 130)), True
+
+
+def _told(name: str, words: list[str]) -> int:
+    """The exit code of a run whose errors are told in one line each."""
     try:
         with ending_signals_interrupt(), warnings.catch_warnings():
             warnings.simplefilter("always", GrindvisionWarning)
@@ -55,11 +66,6 @@ def _judged(name: str, words: list[str], own_process: bool) -> int:
             return _run(name, words)
     except GrindvisionError as error:
         return _failure(name, str(error), 2)
-    except KeyboardInterrupt as error:
-        code = getattr(error, "exit_code", 130)
-        if own_process:
-            atexit.register(os._exit, code)  # a tidy end could meet worker threads in compiled code, and abort
-        return _failure(name, "interrupted; nothing half-written is left", code)
     except MemoryError:
         return _failure(name, "not enough memory for this input; thin the cloud out or use a larger machine", 2)
     except OSError as error:

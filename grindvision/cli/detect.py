@@ -94,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number,
         metavar="MM",
         help="end with exit code 3, and say where, unless a bead of this height would be told on at least"
-        f" {ENOUGH_SHOWN:.0%} of the test scan",
+        f" {ENOUGH_SHOWN:.0%}% of the test scan",
     )
     add_output_arguments(parser)
 
