@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from grindvision.vision.change.ridge_path import FLANK, REACH_WIDTHS, _sections
+from grindvision.vision.change.bead_sections import FLANK, REACH_WIDTHS, sums_of_sections
 
 
 @pytest.mark.parametrize("around_mm", [np.inf, 30.0])
@@ -11,7 +11,7 @@ def test_sections_are_weighted_least_squares_of_the_points_around_each_station(r
     s, b, h = rng.uniform(0, 30, 800), rng.uniform(-3, 3, 800), rng.normal(1.0, 0.1, 800)
     up, offsets = rng.normal(size=(800, 3)), rng.normal(size=(800, 3))
     arcs, width = np.array([0.0, 4.0, 15.0, 29.5]), 4.0
-    found = _sections(s, b, h, up, offsets, arcs, width, around_mm)
+    found = sums_of_sections(s, b, h, up, offsets, arcs, width, around_mm)
     for m, arc in enumerate(arcs):
         away = s - arc
         if np.isfinite(around_mm):
@@ -33,5 +33,5 @@ def test_sections_are_weighted_least_squares_of_the_points_around_each_station(r
 
 def test_a_station_without_points_counts_none(rng):
     up, offsets = rng.normal(size=(2, 20, 3))
-    found = _sections(np.full(20, 3.0), np.zeros(20), np.ones(20), up, offsets, np.array([90.0]), 4.0, np.inf)
+    found = sums_of_sections(np.full(20, 3.0), np.zeros(20), np.ones(20), up, offsets, np.array([90.0]), 4.0, np.inf)
     assert found.counts[0] == 0 and not found.normal.any() and not found.up.any()

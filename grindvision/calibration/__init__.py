@@ -5,7 +5,6 @@ This room sees measurements and the nominal arm; it never sees the truth.
 
 from grindvision.calibration.accurate import (
     Calibration,
-    Options,
     calibrate,
     unknowns_of,
 )
@@ -28,6 +27,7 @@ from grindvision.calibration.model import (
     moved_cell,
     table_entries,
 )
+from grindvision.calibration.options import Options
 from grindvision.calibration.poses import PoseChoice, choose_poses
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.sphere_centres import find_sphere, noise_clumping

@@ -12,38 +12,33 @@ from scipy.spatial.transform import Rotation
 from grindvision.arm import MdhArm
 from grindvision.calibration.beyond_geometry import BeyondGeometry, choose_terms, kinds_of_terms
 from grindvision.calibration.coarse import coarse_start
-from grindvision.calibration.diagnosis import SUSPICIOUS_MM, check_fit
+from grindvision.calibration.diagnosis import check_fit
 from grindvision.calibration.dropped import judge_dropped
 from grindvision.calibration.estimate import (
-    SMALLEST_MM,
     Sigmas,
     deviations,
-    estimate_sigmas,
     gauss_newton,
-    noise_covariances,
-    posterior_covariance,
     residuals_of,
     unit_sizes,
     whitened_jacobian,
 )
+from grindvision.calibration.fitting import Fit, expected_covariance, iterated_fit, linear_step
 from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.input_checks import check_measurements, without_copies
-from grindvision.calibration.joint_terms import DOWN
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import (
     ScannerOnArm,
     Unknowns,
-    carried,
-    moved_cell,
     table_entries,
     unknowns_for,
 )
+from grindvision.calibration.options import Options
 from grindvision.calibration.robust import consistent_rows
-from grindvision.calibration.starts import median_error, place_unseen_fixtures
+from grindvision.calibration.starts import place_unseen_fixtures
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding, sentences_of, structure_in
 from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
-from grindvision.errors import InputError, UnitError
+from grindvision.errors import UnitError
 from grindvision.geometry import inverse
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -53,45 +48,6 @@ Flags = NDArray[np.bool_]
 
 #: So many rows that contradict the others get a sentence each; more are told in one.
 MAX_NAMED = 6
-
-
-@dataclass(frozen=True)
-class Options:
-    """How to calibrate.
-
-    ``base_fixed``: the tracker already measures in the arm's base frame. ``free``: entries of the MDH table to
-    estimate, by name (``d3_mm``), instead of the usual ones. ``length_prior_mm`` and ``angle_prior_rad``: how far the
-    table may deviate (standard deviation); learnt from the data where left out. ``robust``: drop rows that contradict
-    the others and name them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
-    ``beyond_geometry``: look for gear waves, sag and couplings, and keep what lowers the error of held-out poses;
-    ``gear_ratios`` (n,), where given, add one wave a turn of every motor. ``down``: direction of gravity in the base.
-    ``diagnose``: look for structure in the residuals.
-    ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no
-    priors, generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
-    ``seed`` of the random subsets that are tried as starts, and of the poses that are held out together.
-    """
-
-    base_fixed: bool = False
-    free: tuple[str, ...] | None = None
-    length_prior_mm: float | None = None
-    angle_prior_rad: float | None = None
-    robust: bool = True
-    worst_std: float = 10.0
-    beyond_geometry: bool = False
-    gear_ratios: tuple[float, ...] = ()
-    down: tuple[float, float, float] = DOWN
-    diagnose: bool = True
-    variant: str = "ours"
-    tolerance: float = 1e-6
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.variant not in ("ours", "paper"):
-            raise InputError(f"variant {self.variant!r}; choose ours or paper")
-        for name in ("length_prior_mm", "angle_prior_rad", "worst_std", "tolerance"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise InputError(f"{name} is {value}; it must be above zero")
 
 
 @by_content
@@ -233,12 +189,12 @@ def calibrate(
     training = measurements.rows(fitted).with_known_distances()
     coarse = start or coarse_start(training, arm, options.base_fixed, options.seed).cell
     if options.variant == "paper":
-        fit = _linear_step(coarse, unknowns, training, options.tolerance)
+        fit = linear_step(coarse, unknowns, training, options.tolerance)
     else:
         try:
-            fit = _iterated(coarse, arm, unknowns, training, options)
+            fit = iterated_fit(coarse, arm, unknowns, training, options)
         except UnitError:  # an angle ran beyond a turn: nothing near the nominal arm fits, and ``check_fit`` says why
-            fit = _Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+            fit = Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
     if measurements.fixtures:
         fit = replace(fit, cell=place_unseen_fixtures(fit.cell, measurements, training))
         coarse = place_unseen_fixtures(coarse, measurements, training)
@@ -299,10 +255,10 @@ def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Un
 WORSE_THAN_FORESEEN = 1.6
 
 
-def _judge_test_rows(fit: _Fit, unknowns: Unknowns, training: Measurements, measurements: Measurements) -> list[str]:
+def _judge_test_rows(fit: Fit, unknowns: Unknowns, training: Measurements, measurements: Measurements) -> list[str]:
     """Name test rows that contradict the calibration, and say where they all lie further off than it foresees."""
     test = measurements.rows(~measurements.train)
-    expected = _expected(fit, unknowns, training, test, np.zeros(len(test), dtype=bool))
+    expected = expected_covariance(fit, unknowns, training, test, np.zeros(len(test), dtype=bool))
     residuals = residuals_of(fit.cell, test)
     odd = np.flatnonzero(~measurements.train)[~consistent_rows(residuals, expected)]
     told = _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
@@ -314,75 +270,6 @@ def _judge_test_rows(fit: _Fit, unknowns: Unknowns, training: Measurements, meas
             " something changed between the two, or the training rows do not reach there"
         )
     return told
-
-
-@by_content
-@dataclass(frozen=True)
-class _Fit:
-    cell: ScannerOnArm
-    sigmas: Sigmas
-    kept: Flags
-    iterations: int
-    converged: bool
-
-
-def _iterated(coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, options: Options) -> _Fit:
-    """Fit all rows; if some contradict the rest, begin again from a robust fit and leave them out."""
-    fit = _fit_rows(coarse, arm, unknowns, training, np.ones(len(training), dtype=bool), options)
-    if not options.robust:
-        return fit
-    agree = _consistent(fit, unknowns, training)
-    if agree.all() and median_error(fit.cell, training) <= SUSPICIOUS_MM:
-        return fit
-    rough = Sigmas(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
-    cell, steps, _ = gauss_newton(coarse, arm, unknowns, training, rough, robust=True, iterations=20)
-    agree = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, rough))
-    for _ in range(6):
-        fit = _fit_rows(cell, arm, unknowns, training, agree, options)
-        fit, agree = replace(fit, iterations=fit.iterations + steps), _consistent(fit, unknowns, training)
-        if (agree == fit.kept).all():
-            break
-    return fit
-
-
-def _fit_rows(
-    start: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, kept: Flags, options: Options
-) -> _Fit:
-    """Gauss-Newton, the sigmas that its residuals show, and Gauss-Newton with these."""
-    used = training.rows(kept)
-    sigmas = Sigmas(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
-    cell, steps, _ = gauss_newton(start, arm, unknowns, used, sigmas)
-    rest = max(float(np.sqrt((residuals_of(cell, used) ** 2).mean())), SMALLEST_MM)
-    begin = replace(sigmas, rest_mm=rest, joint_rad=rest / 1000)
-    sigmas = estimate_sigmas(cell, arm, unknowns, used, begin, options.length_prior_mm, options.angle_prior_rad)
-    cell, more, converged = gauss_newton(cell, arm, unknowns, used, sigmas)
-    return _Fit(cell, sigmas, kept, steps + more, converged)
-
-
-def _consistent(fit: _Fit, unknowns: Unknowns, training: Measurements) -> Flags:
-    """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out leaves more."""
-    return consistent_rows(residuals_of(fit.cell, training), _expected(fit, unknowns, training, training, fit.kept))
-
-
-def _expected(fit: _Fit, unknowns: Unknowns, training: Measurements, judged: Measurements, was_fitted: Flags) -> Floats:
-    """Covariance (M, 3, 3) to expect of the residuals of rows that were fitted or not."""
-    noise = noise_covariances(fit.cell, judged, fit.sigmas)
-    design = carried(fit.cell, judged).design(unknowns)
-    covariance = posterior_covariance(fit.cell, unknowns, training.rows(fit.kept), fit.sigmas)
-    pull = design @ covariance @ np.swapaxes(design, 1, 2)
-    return np.where(was_fitted[:, None, None], noise - 0.95 * pull, noise + pull)
-
-
-def _linear_step(coarse: ScannerOnArm, unknowns: Unknowns, training: Measurements, tolerance: float) -> _Fit:
-    """Eqs 16-18: the generalised inverse of the stacked G_i, applied once to the stacked residuals."""
-    design = carried(coarse, training).design(unknowns).reshape(-1, len(unknowns))
-    cell = moved_cell(
-        coarse, unknowns, np.linalg.pinv(design, rcond=tolerance) @ residuals_of(coarse, training).ravel()
-    )
-    left = residuals_of(cell, training).ravel()
-    freedom = max(len(left) - np.linalg.matrix_rank(design, tol=tolerance * np.linalg.norm(design, 2)), 1)
-    sigmas = Sigmas(max(float(np.sqrt(left @ left / freedom)), SMALLEST_MM), 0.0, np.inf, np.inf)
-    return _Fit(cell, sigmas, np.ones(len(training), dtype=bool), 1, True)
 
 
 def _named(
@@ -398,9 +285,8 @@ def _named(
 def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:
     values = deviations(cell, coarse.arm, unknowns)
     values[unknowns.in_reflectors] = cell.reflectors_mm.ravel()
-    for kind, part in (("fixtures", cell.fixtures_mm - coarse.fixtures_mm),):
-        if len(part):
-            values[getattr(unknowns, f"in_{kind}")] = part[:, :3].ravel()
+    if len(cell.fixtures_mm):
+        values[unknowns.in_fixtures] = (cell.fixtures_mm - coarse.fixtures_mm)[:, :3].ravel()
     scanner = _twist(cell.T_joint_scanner @ inverse(coarse.T_joint_scanner))
     base = _twist(inverse(coarse.T_tracker_base) @ cell.T_tracker_base)
     values[: unknowns.scanner] = scanner[: unknowns.scanner]

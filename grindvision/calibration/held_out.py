@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.calibration.accurate import Calibration, Options, calibrate
+from grindvision.calibration.accurate import Calibration, calibrate
 from grindvision.calibration.estimate import residuals_of
+from grindvision.calibration.options import Options
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.errors import DegenerateError
 from grindvision.parallel import one_blas_thread

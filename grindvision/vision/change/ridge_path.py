@@ -8,7 +8,6 @@ centroid, and which fits round, bell-shaped and lopsided beads as well as a para
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,17 +16,13 @@ from grindvision.errors import InputError, NoPathError, TooSmallError
 from grindvision.geometry.curves import Curve
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest
-from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
+from grindvision.vision.change.bead_sections import Sections, sums_of_sections
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import Cluster
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-REACH_WIDTHS = 1.2
-"""A station's cross-section is fitted to what lies within so many widths of it along the bead."""
 
 MIN_SECTION = 12
 """A station with fewer points has no cross-section."""
@@ -47,8 +42,8 @@ FARTHEST = 0.36
 ACROSS = np.linspace(-FARTHEST, FARTHEST, 101)
 ACROSS_POWERS = ACROSS[:, None] ** POWERS
 
-FLANK, MIN_FLANK = 0.2, 0.05
-"""A flank is shown when this share of the points lies farther than so many widths to its side of the ridge."""
+MIN_FLANK = 0.05
+"""A flank is shown when such a fraction of the points lies on it."""
 
 CREST_QUANTILE, MIN_CREST_CELLS = 0.7, 4.0
 """The crest of a piece whose sections have no ridge (fins, edges) is the mean of the points above this quantile; it
@@ -211,7 +206,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     count = max(int(np.ceil(stations.length_mm / (0.35 * width))), 4)
     arcs = np.linspace(0.0, stations.length_mm, count + (not stations.closed), endpoint=not stations.closed)
     around_mm = stations.length_mm if stations.closed else np.inf
-    sections = _sections(s_all, b_all, cluster.signed_mm, cluster.normals, offsets, arcs, width, around_mm)
+    sections = sums_of_sections(s_all, b_all, cluster.signed_mm, cluster.normals, offsets, arcs, width, around_mm)
     enough = sections.counts >= MIN_SECTION
     if enough.sum() < 2:
         raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
@@ -225,92 +220,7 @@ def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Flo
     return places, normals, heights
 
 
-class _Sections(NamedTuple):
-    """Sums over the points around each of M stations, weighted by their nearness along the bead (see ``_ridge``).
-
-    ``counts`` (M,) of points; ``normal`` (M, 8, 8) and ``right`` (M, 8): equations of the section's terms 1, s, s^2,
-    s b, b, b^2, b^3, b^4, in widths; ``flanks`` (M, 2): shares of the weight that lie to either side of the ridge;
-    ``up`` and ``offset`` (M, 3): means of the surface's normals and of the feet's offsets from the station's curve.
-    """
-
-    counts: Integers
-    normal: Floats
-    right: Floats
-    flanks: Floats
-    up: Floats
-    offset: Floats
-
-    def at(self, stations: NDArray[np.bool_]) -> _Sections:
-        """The sums of those stations (M,) that are marked."""
-        return _Sections(
-            self.counts[stations],
-            self.normal[stations],
-            self.right[stations],
-            self.flanks[stations],
-            self.up[stations],
-            self.offset[stations],
-        )
-
-
-@njit(cache=True, nogil=True)
-def _sections(
-    s: Floats, b: Floats, h: Floats, up: Floats, offsets: Floats, arcs: Floats, width: float, around_mm: float
-) -> _Sections:
-    """``_Sections`` at stations with arc lengths ``arcs`` (M,), of points with s, b, h (N,), normals and offsets
-    (N, 3).
-
-    ``around_mm`` is the length of a closed curve, infinite for an open one.
-    """
-    stations = len(arcs)
-    found = _Sections(
-        np.zeros(stations, dtype=np.int64),
-        np.zeros((stations, 8, 8)),
-        np.zeros((stations, 8)),
-        np.zeros((stations, 2)),
-        np.zeros((stations, 3)),
-        np.zeros((stations, 3)),
-    )
-    term = np.empty(8)
-    for m in range(stations):
-        normal, right = found.normal[m], found.right[m]
-        total = 0.0
-        for p in range(len(s)):
-            along, across = s[p] - arcs[m], b[p] / width
-            if along > around_mm / 2:
-                along -= around_mm
-            elif along < -around_mm / 2:
-                along += around_mm
-            near = abs(along) / (REACH_WIDTHS * width)
-            if near >= 1 or abs(across) >= 0.5:
-                continue
-            weight = (1 - near**3) ** 3
-            along /= width
-            term[0], term[1], term[2], term[3] = 1.0, along, along * along, along * across
-            term[4] = across
-            for k in range(5, 8):
-                term[k] = term[k - 1] * across
-            for i in range(8):
-                for j in range(i, 8):
-                    normal[i, j] += weight * term[i] * term[j]
-                right[i] += weight * term[i] * h[p]
-            for k in range(3):
-                found.up[m, k] += weight * up[p, k]
-                found.offset[m, k] += weight * offsets[p, k]
-            found.flanks[m, 0] += weight * (-across > FLANK)
-            found.flanks[m, 1] += weight * (across > FLANK)
-            found.counts[m] += 1
-            total += weight
-        for i in range(8):
-            for j in range(i):
-                normal[i, j] = normal[j, i]
-        if total > 0:
-            found.flanks[m] /= total
-            found.up[m] /= total
-            found.offset[m] /= total
-    return found
-
-
-def _ridges(sections: _Sections, shapes: Floats, width: float) -> tuple[Floats, Floats]:
+def _ridges(sections: Sections, shapes: Floats, width: float) -> tuple[Floats, Floats]:
     """Where across the ridges lie (M,), and their heights (M,), given the sections' shapes (M, 4)."""
     normal, right = sections.normal, sections.right
     free = np.tile(np.eye(8)[:, :5], (len(normal), 1, 1))
@@ -340,7 +250,7 @@ def _middles_of_tops(across: Floats, heights: Floats) -> Floats:
     return (ends[0] + ends[1]) / 2
 
 
-def _pooled_shapes(sections: _Sections, arcs: Floats, stations: Curve, reach: float) -> Floats:
+def _pooled_shapes(sections: Sections, arcs: Floats, stations: Curve, reach: float) -> Floats:
     """Shapes (M, 4) of the cross-sections, each fitted to all of them, the nearer ones first."""
     equations, rights = _shape_equations(sections)
     away = np.abs(arcs - arcs[:, None])
@@ -357,7 +267,7 @@ def _pooled_shapes(sections: _Sections, arcs: Floats, stations: Curve, reach: fl
     return shapes
 
 
-def _shape_equations(sections: _Sections) -> tuple[Floats, Floats]:
+def _shape_equations(sections: Sections) -> tuple[Floats, Floats]:
     """Normal equations (M, 4, 4) and (M, 4) of the sections' shapes, whatever the other terms are."""
     normal, right = sections.normal, sections.right
     others = np.linalg.pinv(normal[:, :4, :4], rcond=1e-12) @ normal[:, :4, 4:]
