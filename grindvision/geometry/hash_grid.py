@@ -94,6 +94,12 @@ def cell_key(i: int, j: int, k: int) -> np.int64:
     return (np.int64(i) << 42) | (np.int64(j) << 21) | np.int64(k)
 
 
+def cell_indices(keys: Integers) -> Integers:
+    """Indices (C, 3) of cells with the given keys (C,): the inverse of ``cell_key``."""
+    axis = (1 << 21) - 1
+    return np.column_stack([(keys >> 42) & axis, (keys >> 21) & axis, keys & axis])
+
+
 @njit(cache=True, nogil=True)
 def find_slot(table_keys: Integers, key: np.int64) -> np.int64:
     """Slot of ``key`` in the open-addressed table, or the free slot where it belongs.

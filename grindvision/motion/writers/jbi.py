@@ -14,7 +14,6 @@ from grindvision.motion.programme_steps import (
     Output,
     RobotProgramme,
     Wait,
-    euler_zyx_deg,
     plain,
 )
 from grindvision.motion.writers.words import (
@@ -23,6 +22,7 @@ from grindvision.motion.writers.words import (
     checked_name,
     checked_number,
     is_digital,
+    numbers_of,
     percent,
     placed,
     plain_text,
@@ -50,7 +50,7 @@ def jbi(programme: RobotProgramme) -> tuple[str]:
     joints: list[str] = []
     poses: list[str] = []
     last = ""
-    count = sum(isinstance(step, JointMove) for step in programme.steps)
+    number = sum(isinstance(step, JointMove) for step in programme.steps)  # positions of the joint moves come first
     for step in programme.steps:
         if isinstance(step, Comment):
             lines.append(f"'{plain_text(step.text, LONGEST_REMARK)}")
@@ -63,14 +63,13 @@ def jbi(programme: RobotProgramme) -> tuple[str]:
         elif isinstance(step, Wait):
             lines.append(f"TIMER T={plain(step.seconds, 2)}")
         elif isinstance(step, LinearMove):
-            number = count + sum(line.startswith("C") for line in poses)
             lines.append(f"MOVL C{number:05d} V={_speed(step.speed_mm_s)} PL={0 if step.zone_mm < 0.05 else 1}")
             words = ",".join(str(flag) for flag in rconf(placed(step)))
             poses += [f"///RCONF {words}"] if words != last else []
-            poses.append(f"C{number:05d}={','.join(_numbers(step.T_work_tool))}")
+            poses.append(f"C{number:05d}={','.join(plain(value, 4) for value in numbers_of(step.T_work_tool))}")
             last = words
-    total = count + sum(line.startswith("C") for line in poses)
-    head = ["/JOB", f"//NAME {name}", "//POS", f"///NPOS {total},0,0,0,0,0", f"///TOOL {programme.tool_number}"]
+            number += 1
+    head = ["/JOB", f"//NAME {name}", "//POS", f"///NPOS {number},0,0,0,0,0", f"///TOOL {programme.tool_number}"]
     user = [] if at_base else [f"///USER {programme.work_number}"]
     attributes = ["///ATTR SC,RW" + ("" if at_base else ",RJ")] + (
         [] if at_base else [f"////FRAME USER {programme.work_number}"]
@@ -112,14 +111,8 @@ def rconf(placement: Placement) -> tuple[int, ...]:
 
 
 def _remarks(name: str, pose: Floats) -> list[str]:
-    return [
-        f"'{name} {axis} {value}" for axis, value in zip(("X", "Y", "Z", "RX", "RY", "RZ"), _numbers(pose), strict=True)
-    ]
-
-
-def _numbers(pose: Floats) -> list[str]:
-    z, y, x = euler_zyx_deg(pose[:3, :3])
-    return [*(plain(float(value), 4) for value in pose[:3, 3]), *(plain(angle, 4) for angle in (x, y, z))]
+    axes = ("X", "Y", "Z", "RX", "RY", "RZ")
+    return [f"'{name} {axis} {plain(value, 4)}" for axis, value in zip(axes, numbers_of(pose), strict=True)]
 
 
 def _speed(speed_mm_s: float) -> str:

@@ -14,7 +14,6 @@ from grindvision.motion.programme_steps import (
     Output,
     RobotProgramme,
     Wait,
-    euler_zyx_deg,
     plain,
 )
 from grindvision.motion.writers.words import (
@@ -23,6 +22,7 @@ from grindvision.motion.writers.words import (
     checked_name,
     checked_number,
     is_digital,
+    numbers_of,
     percent,
     placed,
     plain_text,
@@ -121,13 +121,8 @@ def _head(name: str, programme: RobotProgramme, lines: int) -> list[str]:
 
 
 def _remarks(name: str, pose: Floats) -> list[str]:
-    values = _numbers(pose)
+    values = numbers_of(pose)
     return [f"!{name} {letter} {plain(value, 4)}" for letter, value in zip("XYZWPR", values, strict=True)]
-
-
-def _numbers(pose: Floats) -> list[float]:
-    z, y, x = euler_zyx_deg(pose[:3, :3])
-    return [*map(float, pose[:3, 3]), x, y, z]
 
 
 def _end(zone_mm: float) -> str:
@@ -151,7 +146,7 @@ def _joint_position(number: int, move: JointMove, programme: RobotProgramme) -> 
 
 
 def _position(number: int, move: LinearMove, programme: RobotProgramme) -> str:
-    x, y, z, w, p, r = (plain(value, 4) for value in _numbers(move.T_work_tool))
+    x, y, z, w, p, r = (plain(value, 4) for value in numbers_of(move.T_work_tool))
     return (
         f"{_place(number, programme)}\tCONFIG : '{config(placed(move))}',\n"
         f"\tX = {x} mm,\tY = {y} mm,\tZ = {z} mm,\n\tW = {w} deg,\tP = {p} deg,\tR = {r} deg\n}};"

@@ -6,7 +6,7 @@ import re
 
 from grindvision.errors import InputError
 from grindvision.motion.placement import Placement
-from grindvision.motion.programme_steps import JointMove, LinearMove, Output, RobotProgramme
+from grindvision.motion.programme_steps import Floats, JointMove, LinearMove, Output, RobotProgramme, euler_zyx_deg
 
 
 def checked_name(name: str, language: str, longest: int, what: str = "programme") -> str:
@@ -86,3 +86,9 @@ def percent(move: JointMove) -> float:
             f"a joint move at {move.speed_fraction:g} of the full speed; give a fraction above 0, 1 at most"
         )
     return 100.0 * move.speed_fraction
+
+
+def numbers_of(pose: Floats) -> list[float]:
+    """x, y, z in mm of a pose (4, 4), and its turns in deg about the fixed axes x, y, z."""
+    z, y, x = euler_zyx_deg(pose[:3, :3])
+    return [*map(float, pose[:3, 3]), x, y, z]

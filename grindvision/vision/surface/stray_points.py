@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.geometry.bounds import bounds
-from grindvision.geometry.hash_grid import assign_cells, cell_key, cell_origin, find_slot
-from grindvision.kernels import njit
+from grindvision.geometry.hash_grid import assign_cells, cell_indices, cell_origin
+from grindvision.vision.surface.clustering import euclidean_clusters
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 MAX_STRAY = 0.002
 """Fraction of a cloud that may lie alone and be stray; what is larger is another part of the scene."""
@@ -20,6 +19,9 @@ CELLS_ACROSS = 40
 
 MIN_POINTS_PER_CELL = 1.0
 """Mean number of points per occupied cell below which a cloud is too thin to say what lies alone."""
+
+CORNER = 1.8
+"""Cells whose indices are no farther apart than this share a face, an edge or a corner."""
 
 MAX_ROUNDS = 6
 """What one far point hides, a nearer one, shows when it is gone."""
@@ -39,46 +41,13 @@ def stray_points(points: Floats) -> NDArray[np.bool_]:
         size = float(np.linalg.norm(high - low)) / CELLS_ACROSS
         if not (size > 0 and np.isfinite(size)):
             break
-        cell_of_point, keys, table_keys, table_cells = assign_cells(kept, cell_origin(kept, size), 1.0 / size)
+        cell_of_point, keys, _, _ = assign_cells(kept, cell_origin(kept, size), 1.0 / size)
         if len(kept) < MIN_POINTS_PER_CELL * len(keys):
             break
-        group = _groups(keys, table_keys, table_cells)[cell_of_point]
+        group = euclidean_clusters(cell_indices(keys), CORNER)[cell_of_point]
         alone = np.bincount(group)[group] <= allowed
         if not alone.any() or alone.sum() + stray.sum() > allowed:
             break
         stray[np.flatnonzero(~stray)[alone]] = True
         kept = points[~stray]
     return stray
-
-
-@njit(cache=True, nogil=True)
-def _groups(keys: Integers, table_keys: Integers, table_cells: NDArray[np.int32]) -> Integers:
-    """Group (C,) of every cell; cells that share a corner are of one group."""
-    count = len(keys)
-    groups = np.full(count, -1, dtype=np.int64)
-    stack = np.empty(count, dtype=np.int64)
-    axis = np.int64((1 << 21) - 1)
-    number = 0
-    for first in range(count):
-        if groups[first] >= 0:
-            continue
-        groups[first] = number
-        stack[0] = first
-        waiting = 1
-        while waiting > 0:
-            waiting -= 1
-            key = keys[stack[waiting]]
-            i, j, k = (key >> 42) & axis, (key >> 21) & axis, key & axis
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    for dk in range(-1, 2):
-                        slot = find_slot(table_keys, cell_key(i + di, j + dj, k + dk))
-                        if table_keys[slot] < 0:
-                            continue
-                        other = table_cells[slot]
-                        if groups[other] < 0:
-                            groups[other] = number
-                            stack[waiting] = other
-                            waiting += 1
-        number += 1
-    return groups
