@@ -27,7 +27,7 @@ def cache_folders(name: str) -> list[Path]:
     """
     installation = f"{__version__}-{hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:12]}"
     places = [PACKAGE / "__pycache__" / name]
-    user = _user_cache()
+    user = user_cache()
     if user is not None:
         places.append(user / "grindvision" / installation / name)
     temporary = temporary_folder()
@@ -112,7 +112,8 @@ def _matplotlib_folders() -> list[Path]:
     ]
 
 
-def _user_cache() -> Path | None:
+def user_cache() -> Path | None:
+    """Folder for what programs of this user may lose; None where there is no home."""
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA")
         return Path(base) if base else None

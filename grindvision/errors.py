@@ -25,6 +25,10 @@ class FileError(InputError):
     """A file is missing, damaged, of an unknown format, or cannot be written."""
 
 
+class DataNotHereError(FileError):
+    """A set of measured data is in no folder that is looked into; the message says which, and how to get it."""
+
+
 class UnitError(InputError):
     """Numbers look like another unit than the one stated (metres for millimetres, degrees for radians)."""
 

@@ -12,6 +12,10 @@ ROOT = Path(__file__).resolve().parent.parent
 runpy.run_path(str(ROOT / "grindvision_book" / "machinery" / "arithmetic.py"))["pin"]()
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+# Measured data of others, where somebody has laid them beside the checkout.
+if (ROOT.parent / "shared" / "real").is_dir():
+    os.environ.setdefault("GRINDVISION_DATA", str(ROOT.parent / "shared" / "real"))
+
 import hypothesis
 import numpy as np
 import pytest
@@ -29,12 +33,14 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def real_data():
     """Path of a file of real measured data, or a skip with the reason where it is absent."""
-    folder = Path(os.environ.get("GRINDVISION_REAL", ROOT.parent / "shared" / "real"))
+    folder = Path(os.environ.get("GRINDVISION_DATA") or ROOT / "none")
 
     def find(name: str) -> Path:
         path = folder / name
         if not path.exists():
-            pytest.skip(f"real data set {name} is not part of the project; set GRINDVISION_REAL to its folder")
+            pytest.skip(
+                f"real data set {name} is not part of the project; GRINDVISION_DATA names no folder that has it"
+            )
         return path
 
     return find

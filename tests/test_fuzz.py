@@ -280,7 +280,7 @@ WORDS = st.one_of(
 
 
 #: Commands that run without a word.
-WORDLESS = ("book", "compile", "robots")
+WORDLESS = ("book", "compile", "robots", "data")
 
 
 @slices(0.08)

@@ -30,7 +30,7 @@ from grindvision_book.machinery.places import FIGURES, ROOT
 FORMAT = 1
 
 #: Settings of a kernel that change no number: places, and how many threads work.
-_NO_MATTER = re.compile(r"GRINDVISION_(FIGURES|FINISHED|STUDIES|DATA|DEBUG|REAL)$|.*_NUM_THREADS$")
+_NO_MATTER = re.compile(r"GRINDVISION_(FIGURES|FINISHED|STUDIES|DATA|DEBUG)$|.*_NUM_THREADS$")
 _SETTINGS = ("GRINDVISION_", "NUMBA_", "OPENBLAS_", "NPY_", "MKL_", "OMP_")
 
 #: What a chapter depends on: name of the thing -> hash.
