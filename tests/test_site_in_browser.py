@@ -21,6 +21,12 @@ pytestmark = [
 
 HEAVIEST_PAGE_BYTES = 3_000_000
 HEAVIEST_SCENE_BYTES = 3_000_000
+WIDTHS = (1280, 390)
+#: Boxes of code, of output and of tables that are wider than the place they have.
+CUT_OFF = """() => [...document.querySelectorAll(".bd-article :is(pre, table)")].filter((box) => {
+    const place = box.matches("table") ? box.parentElement : box;
+    return place.scrollWidth > place.clientWidth + 1;
+}).length"""
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +93,11 @@ def test_every_page_loads_light_and_without_error_draws_its_formulas_and_fits_a_
             wrong[name] = f"{drawn} of {formulas} formulas, {unknown} of them wrong"
         if _bytes_loaded(tab) > HEAVIEST_PAGE_BYTES:
             wrong[name] = f"{_bytes_loaded(tab):,} bytes"
-        tab.set_viewport_size({"width": 390, "height": 844})
-        if tab.evaluate("document.documentElement.scrollWidth") > 390:
+        for width in WIDTHS:
+            tab.set_viewport_size({"width": width, "height": 900})
+            if cut_off := tab.evaluate(CUT_OFF):
+                wrong[name] = f"{cut_off} boxes cut off at {width} pixels"
+        if tab.evaluate("document.documentElement.scrollWidth") > min(WIDTHS):
             wrong[name] = "wider than a telephone"
     assert not wrong and not tab.troubles
 

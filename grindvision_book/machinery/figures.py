@@ -15,6 +15,7 @@ from grindvision.errors import InputError
 from grindvision.files import write_text, write_whole
 from grindvision_book.machinery.places import figures_folder
 from grindvision_book.machinery.session import current_chapter
+from grindvision_book.machinery.shown_tables import cell_texts, heading
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,19 +102,15 @@ def csv_text(table: pd.DataFrame) -> str:
 
 
 def markdown_table(table: pd.DataFrame) -> str:
-    """A table as Markdown, numbers to the right with four significant digits, missing values blank."""
+    """A table as Markdown: headings in words with their units, numbers to the right (``shown_tables``)."""
     right = [table[column].dtype.kind in "iuf" for column in table.columns]
-    lines = [[str(column) for column in table.columns], ["---:" if number else "---" for number in right]]
-    lines += [[_cell(value) for value in row] for row in table.itertuples(index=False)]
+    lines = [[heading(column) for column in table.columns], ["---:" if number else "---" for number in right]]
+    lines += zip(*([_escaped(text) for text in cell_texts(column)] for _, column in table.items()), strict=True)
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _cell(value: object) -> str:
-    if value is None or value != value:
-        return ""
-    if isinstance(value, float):
-        return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
-    return html.escape(" ".join(str(value).split()), quote=False).replace("|", "\\|")
+def _escaped(text: str) -> str:
+    return html.escape(text, quote=False).replace("|", "\\|")
 
 
 def _check(name: str, data: pd.DataFrame, caption: str) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
 from grindvision_book.machinery.places import ROOT
+from grindvision_book.machinery.shown_tables import table_html
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,11 +62,14 @@ def start(chapter: str) -> None:
     import matplotlib.pyplot as plt
     import pandas as pd
     import pyvista
+    from IPython import get_ipython
     from vtkmodules.vtkCommonCore import vtkLogger
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     plt.style.use(Path(__file__).with_name("book.mplstyle"))
     pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
+    if (shell := get_ipython()) is not None:
+        shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
     pyvista.set_jupyter_backend("static")
     pyvista.global_theme.background = "white"
     pyvista.global_theme.font.color = "black"
@@ -119,10 +123,15 @@ def provenance() -> pd.DataFrame:
 
 
 def _commit() -> str:
+    """The commit, and whether what the numbers are computed from differs from it (rebuilt figures do not count)."""
+    commit = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "--", "grindvision", "grindvision_book", "notebooks", "data")
+    return f"{commit} and changes that are not committed" if commit and changed else commit or "unknown"
+
+
+def _git(*words: str) -> str:
     try:
-        answer = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, timeout=10
-        )
+        answer = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):
-        return "unknown"
-    return answer.stdout.strip() or "unknown"
+        return ""
+    return answer.stdout.strip()

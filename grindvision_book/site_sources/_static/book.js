@@ -70,8 +70,44 @@ function foldCode() {
   title.after(button);
 }
 
+// A table that is wider than its column is shown row by row, every cell with its heading.
+function stackWideTables() {
+  const tables = [...document.querySelectorAll(".bd-article table")].filter((table) => {
+    const heads = [...table.querySelectorAll("thead tr:last-child th")].map((head) => head.textContent.trim());
+    for (const row of table.tBodies[0]?.rows ?? []) {
+      [...row.cells].forEach((cell, i) => (cell.dataset.heading = heads[i] ?? ""));
+    }
+    return heads.length > 2;
+  });
+  const arrange = () => {
+    for (const table of tables) {
+      table.classList.remove("stacked");
+      const box = table.parentElement;
+      table.classList.toggle("stacked", table.scrollWidth > box.clientWidth + 1 && box.clientWidth > 0);
+    }
+  };
+  arrange();
+  window.addEventListener("resize", arrange);
+  for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", arrange);
+}
+
+// A formula that is too wide is set smaller, down to six tenths; below that it scrolls.
+function fitFormulas() {
+  const fit = () => {
+    for (const formula of document.querySelectorAll('mjx-container[display="true"]')) {
+      formula.style.fontSize = "";
+      const part = formula.clientWidth / formula.scrollWidth;
+      if (part > 0 && part < 1) formula.style.fontSize = `${100 * Math.max(0.98 * part, 0.6)}%`;
+    }
+  };
+  window.MathJax?.startup?.promise?.then(fit);
+  window.addEventListener("resize", fit);
+}
+
 document.addEventListener("DOMContentLoaded", () => {
   enlargePictures();
   openScenes();
   foldCode();
+  stackWideTables();
 });
+window.addEventListener("load", fitFormulas);
