@@ -105,7 +105,8 @@ def markdown_table(table: pd.DataFrame) -> str:
     """A table as Markdown: headings in words with their units, numbers to the right (``shown_tables``)."""
     right = [table[column].dtype.kind in "iuf" for column in table.columns]
     lines = [[heading(column) for column in table.columns], ["---:" if number else "---" for number in right]]
-    lines += zip(*([_escaped(text) for text in cell_texts(column)] for _, column in table.items()), strict=True)
+    columns = [[_escaped(text) for text in cell_texts(column)] for _, column in table.items()]
+    lines += [list(row) for row in zip(*columns, strict=True)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 

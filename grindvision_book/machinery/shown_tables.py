@@ -27,6 +27,7 @@ _UNITS = {
     "us": "µs",
     "kb": "kB",
     "mb": "MB",
+    "mib": "MiB",
     "N": "N",
 }
 _WORDS = {"std": "standard deviation", "rms": "rms", "mae": "mean absolute", "nx": "n_x", "ny": "n_y", "nz": "n_z"}
@@ -72,8 +73,10 @@ def _cell_text(value: object, missing: str, as_given: int | None, decimals: int)
         return missing
     if not isinstance(value, float):
         return " ".join(str(value).split())
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}".removeprefix("-") if value == 0 else str(value)
+    if not math.isfinite(value):
+        return str(value)
+    if value == round(value):
+        return str(int(value))
     if as_given is not None and _has_decimals(value, as_given):
         return f"{value:.{as_given}f}".rstrip("0").rstrip(".")
     if abs(value) < 1e-4:
