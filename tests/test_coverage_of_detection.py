@@ -8,6 +8,8 @@ import pytest
 from grindvision.errors import InputError
 from grindvision.vision.change.coverage import cannot_show
 from grindvision.vision.change.detection import detect
+from grindvision.vision.change.visibility import MAX_OPEN, surrounded
+from grindvision.vision.surface.surfels import build_surfels
 from tests.grinding_scene import arc_bead, pair, plate_height, scan, view
 
 
@@ -75,3 +77,28 @@ def test_the_same_scan_twice_says_nothing_of_the_part(good):
     _, said = found_of(good.sample, good.sample.copy())
     assert "are one scan" in said
     assert "are one scan" not in found_of(good.sample, good.test)[1]
+
+
+def test_all_around_is_told_from_octants_as_from_all_angles(rng):
+    """A surface with a hole and rims: the short way agrees with the angles of all neighbours."""
+    places = rng.uniform(-20, 20, (4000, 2))
+    places = places[np.hypot(*places.T) > 6]
+    points = np.column_stack([places, 0.02 * places[:, 0] ** 2])
+    surface = build_surfels(points, 1.0)
+    feet = np.column_stack([rng.uniform(-23, 23, (3000, 2)), np.zeros(3000)])
+    feet[:, 2] = 0.02 * feet[:, 0] ** 2
+    normals = rng.normal([0, 0, 1], 0.3, (3000, 3))
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    normals[::100] = 0.0
+    wanted = [widest_gap(surface.points, *foot, 2.5) < MAX_OPEN for foot in zip(feet, normals, strict=True)]
+    np.testing.assert_array_equal(surrounded(surface, feet, normals), wanted)
+    assert 0.2 < np.mean(wanted) < 0.95
+
+
+def widest_gap(points, foot, normal, reach):
+    around = points[np.linalg.norm(points - foot, axis=1) <= reach] - foot
+    if len(around) < 4 or not normal.any():
+        return 2 * np.pi
+    across = np.linalg.svd(normal[None])[2][1:]
+    angles = np.sort(np.arctan2(*(around @ across.T).T))
+    return np.diff(angles, append=angles[0] + 2 * np.pi).max()

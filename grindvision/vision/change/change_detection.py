@@ -200,7 +200,7 @@ def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Flo
     """Roughness (N,) beyond the noise in mm of the surface's roughest surfel about the feet of points (N, 3)."""
     size = surface.grid.size_mm
     excess = np.sqrt(np.maximum(surface.roughness_mm**2 - surface.noise_mm**2, 0))
-    around = within_radius(build_cells(surface.points, size), points - np.nan_to_num(signed)[:, None] * normals, size)
+    around = within_radius(surface.grid, points - np.nan_to_num(signed)[:, None] * normals, size)
     padded = np.append(excess[around.indices], 0.0)
     highest = np.maximum.reduceat(padded, np.minimum(around.starts[:-1], len(padded) - 1))
     return np.where(np.diff(around.starts) > 0, highest, np.inf)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, build_cells, cell_key, find_slot
 from grindvision.geometry.neighbours import within_radius
 from grindvision.kernels import njit
 from grindvision.vision.surface.surfels import Surfels
@@ -58,8 +58,70 @@ def in_front(surface: Surfels, viewpoint: Floats | None, points: Floats, size: f
 def surrounded(surface: Surfels, feet: Floats, normals: Floats) -> Flags:
     """Whether the sample's surface lies all around these feet (N, 3); at a rim there is nothing to compare with."""
     reach = 2.5 * surface.grid.size_mm
-    around = within_radius(build_cells(surface.points, reach), feet, reach)
-    return _largest_gaps(surface.points, feet, normals, around.starts, around.indices) < MAX_OPEN
+    grid = build_cells(surface.points, reach)
+    empty = _empty_octants(feet, normals, reach, grid)
+    around = empty == 0
+    rest = np.flatnonzero((empty == 1) | (empty == 2))  # three are more than MAX_OPEN
+    near = within_radius(grid, feet[rest], reach)
+    around[rest] = _largest_gaps(surface.points, feet[rest], normals[rest], near.starts, near.indices) < MAX_OPEN
+    return around
+
+
+@njit(cache=True, nogil=True)
+def _empty_octants(feet: Floats, normals: Floats, radius: float, grid: CellGrid) -> Integers:
+    """Of the eighths of the circle about each foot's normal, how many in a row (N,) hold no grid point within
+    ``radius``, which is the grid's cell size.
+
+    Most feet have none, which shows among a few points, long before all neighbours are listed and sorted by angle.
+    """
+    points, order, starts, origin, per_mm = grid.points, grid.order, grid.starts, grid.origin_mm, 1.0 / grid.size_mm
+    runs = np.zeros(len(feet), dtype=np.int64)
+    for f in range(len(feet)):
+        x, y, z = feet[f, 0], feet[f, 1], feet[f, 2]
+        i0, j0 = int(np.floor((x - origin[0]) * per_mm)), int(np.floor((y - origin[1]) * per_mm))
+        k0 = int(np.floor((z - origin[2]) * per_mm))
+        ux, uy, uz, vx, vy, vz = _across(normals[f, 0], normals[f, 1], normals[f, 2])
+        octants = 0
+        for step in range(27):
+            # the foot's own cell first
+            i, j, k = i0 + (step + 1) % 3 - 1, j0 + (step // 3 + 1) % 3 - 1, k0 + (step // 9 + 1) % 3 - 1
+            if min(i, j, k) < 0 or max(i, j, k) >= AXIS_CELLS:
+                continue
+            slot = find_slot(grid.table_keys, cell_key(i, j, k))
+            if grid.table_keys[slot] < 0:
+                continue
+            cell = grid.table_cells[slot]
+            for at in range(starts[cell], starts[cell + 1]):
+                dx, dy, dz = points[order[at], 0] - x, points[order[at], 1] - y, points[order[at], 2] - z
+                if dx * dx + dy * dy + dz * dz <= radius * radius:
+                    octants |= 1 << _octant(ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz)
+            if octants == 255:
+                break
+        run = 0
+        for octant in range(16):  # once round, and on to where the first run ends
+            run = 0 if octants >> (octant % 8) & 1 else run + 1
+            runs[f] = max(runs[f], run)
+    return runs
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _octant(a: float, b: float) -> int:
+    """Which eighth of the circle the direction (a, b) lies in, 0 to 7, one after another."""
+    half = 0 if b >= 0 else 4
+    if b < 0:
+        a, b = -a, -b
+    if a >= 0:
+        return half + (0 if b < a else 1)
+    return half + (2 if b > -a else 3)
+
+
+@njit(cache=True, nogil=True)
+def _across(x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
+    """Two unit vectors square to a unit normal (x, y, z) and to each other, one behind the other."""
+    ux, uy, uz = (y, -x, 0.0) if abs(z) < 0.9 else (0.0, z, -y)
+    length = max(np.sqrt(ux * ux + uy * uy + uz * uz), 1e-300)  # none where there is no surface
+    ux, uy, uz = ux / length, uy / length, uz / length
+    return ux, uy, uz, y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
 
 
 @njit(cache=True, nogil=True)
@@ -70,14 +132,11 @@ def _largest_gaps(points: Floats, feet: Floats, normals: Floats, starts: Integer
         count = starts[f + 1] - starts[f]
         if count < 4:
             continue
-        n = normals[f]
-        u = np.array([n[1], -n[0], 0.0]) if abs(n[2]) < 0.9 else np.array([0.0, n[2], -n[1]])
-        u /= np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
-        v = np.array([n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]])
+        ux, uy, uz, vx, vy, vz = _across(normals[f, 0], normals[f, 1], normals[f, 2])
         angles = np.empty(count)
         for k in range(count):
             d = points[indices[starts[f] + k]] - feet[f]
-            angles[k] = np.arctan2(v[0] * d[0] + v[1] * d[1] + v[2] * d[2], u[0] * d[0] + u[1] * d[1] + u[2] * d[2])
+            angles[k] = np.arctan2(vx * d[0] + vy * d[1] + vz * d[2], ux * d[0] + uy * d[1] + uz * d[2])
         angles.sort()
         gap = angles[0] + 2 * np.pi - angles[-1]
         for k in range(1, count):
