@@ -11,12 +11,14 @@ import sys
 import time
 import warnings
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nbformat.v4 import new_code_cell, new_notebook, writes
 
 from grindvision.cli import main
 from grindvision.cli.scans import pose_doubts, read_pose, read_scans
@@ -28,8 +30,9 @@ from grindvision.input_files import open_input, read_input
 from grindvision.interrupts import Interrupted, ending_signals_interrupt, undisturbed
 from grindvision.result_set import write_set
 from grindvision_book.machinery.figures import markdown_table
+from grindvision_book.machinery.one_at_a_time import only_build
 from grindvision_book.studies.rows import RowsFile
-from tests.test_bad_input import ENDLESS, PATIENCE_S, blank_pictures, command, good, obeys, quickly, wait_for  # noqa: F401
+from tests.doors_law import ENDLESS, PATIENCE_S, blank_pictures, command, good, obeys, quickly, wait_for  # noqa: F401
 
 # What is no plain file
 
@@ -50,7 +53,7 @@ def other_things(folder):
 OTHERS = ["pipe", "to_pipe", "folder", "loop", "socket", "absent", "zero", "terminal", "n" * 300]
 
 
-def doors(good, path):  # noqa: F811
+def doors(good, path):
     """Words of every command that opens a file, with ``path`` in its place."""
     cloud, sample, test = good / "a.ply", good / "sample.ply", good / "test.ply"
     yield "detect", path.with_name(path.name + ".ply"), test
@@ -90,7 +93,7 @@ def opened_files():
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_what_is_no_plain_file_is_refused_at_once_at_every_door(good, obeys, tmp_path, name):  # noqa: F811
+def test_what_is_no_plain_file_is_refused_at_once_at_every_door(good, obeys, tmp_path, name):
     write_json(good / "pose.json", rigid(translation_mm=[0, 0, 900.0]))
     with other_things(tmp_path), opened_files() as opened:
         for suffix in (".ply", ".xyz", ".csv", ".urdf", ".npy"):
@@ -147,7 +150,7 @@ def test_a_file_that_grows_while_it_is_read(tmp_path):
         path.write_text("1 2 3\n4 5 6\n")
 
 
-def test_an_input_that_changes_during_the_run(good, obeys, tmp_path, monkeypatch):  # noqa: F811
+def test_an_input_that_changes_during_the_run(good, obeys, tmp_path, monkeypatch):
     cloud = tmp_path / "a.ply"
     cloud.write_bytes((good / "a.ply").read_bytes())
     monkeypatch.setattr("grindvision.cli.groove_picture.draw", lambda *_: cloud.write_bytes(b"ply\n"))
@@ -155,7 +158,7 @@ def test_an_input_that_changes_during_the_run(good, obeys, tmp_path, monkeypatch
     assert code == 2 and "it changed during the run" in error
 
 
-def test_results_never_overwrite_their_input(good, tmp_path, capfd):  # noqa: F811
+def test_results_never_overwrite_their_input(good, tmp_path, capfd):
     robot = tmp_path / "robot.csv"
     robot.write_bytes((good / "r.csv").read_bytes())
     assert main(["calibrate", str(good / "m.csv"), "--robot", str(robot), "-o", str(tmp_path)]) == 2
@@ -180,7 +183,7 @@ def test_a_whole_number_of_any_length_in_a_pose(tmp_path, digits, row, column):
         read_pose(tmp_path / "pose.json")
 
 
-def test_one_message_never_repeats_a_megabyte(good, capfd, tmp_path):  # noqa: F811
+def test_one_message_never_repeats_a_megabyte(good, capfd, tmp_path):
     name = "n" * 1_000_000
     for words in (
         ["groove", name + ".ply", "-o", str(tmp_path / "out")],
@@ -213,7 +216,7 @@ def test_a_message_is_one_short_line_that_a_terminal_can_show(text):
 
 
 @pytest.mark.parametrize("door", ["groove", "detect"])
-def test_names_that_are_no_text(good, tmp_path, door):  # noqa: F811
+def test_names_that_are_no_text(good, tmp_path, door):
     """Latin-1 bytes, markup, formulas and terminal commands in the names of inputs and of the folder of results."""
     odd = os.fsdecode(b"caf\xe9 <b>&amp; $x_{ \x1b[31m ")
     clouds = []
@@ -242,7 +245,7 @@ def test_names_that_are_no_text(good, tmp_path, door):  # noqa: F811
 
 
 @pytest.mark.parametrize("closing", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true", "2>/dev/full"])
-def test_closed_streams_change_neither_the_results_nor_the_exit_code(good, tmp_path, closing):  # noqa: F811
+def test_closed_streams_change_neither_the_results_nor_the_exit_code(good, tmp_path, closing):
     run = f"{sys.executable} -m grindvision calibrate {good / 'm.csv'} --robot {good / 'r.csv'} -o {tmp_path / 'out'}"
     bad = f"{sys.executable} -m grindvision calibrate absent.csv --robot {good / 'r.csv'} -o {tmp_path / 'none'}"
     for line, code in ((run, 0), (bad, 2), (f"{sys.executable} -m grindvision --help", 0)):
@@ -377,7 +380,7 @@ def test_where_the_file_system_has_no_locks_nothing_is_swept(tmp_path, monkeypat
     assert marks(tmp_path) == NEW and [path.name for path in tmp_path.glob(".g*")] == [".grindvision-other"]
 
 
-def test_the_report_names_every_file_with_its_digest(good, obeys):  # noqa: F811
+def test_the_report_names_every_file_with_its_digest(good, obeys):
     _, _, out = obeys("groove", good / "a.ply", "--waypoints", 9)
     report = json.loads((out / "report.json").read_text())
     assert {one["name"]: one["sha256"] for one in report["outputs"]} == {
@@ -385,7 +388,7 @@ def test_the_report_names_every_file_with_its_digest(good, obeys):  # noqa: F811
     }
 
 
-def test_a_killed_run_is_swept_by_the_next_but_a_live_one_is_not(good, tmp_path):  # noqa: F811
+def test_a_killed_run_is_swept_by_the_next_but_a_live_one_is_not(good, tmp_path):
     out = tmp_path / "out"
     process = command("detect", good / "sample.ply", good / "test.ply", "-o", out, run=("-c", ENDLESS))
     wait_for(lambda: list(out.glob(".grindvision-*/")), process)
@@ -397,7 +400,7 @@ def test_a_killed_run_is_swept_by_the_next_but_a_live_one_is_not(good, tmp_path)
     assert {path.name for path in out.iterdir()} == set(json.loads((out / "report.json").read_text())["files"])
 
 
-def test_a_clock_that_is_set_back(good, obeys, tmp_path, monkeypatch):  # noqa: F811
+def test_a_clock_that_is_set_back(good, obeys, tmp_path, monkeypatch):
     """Files from the future, and a clock that jumps: no negative times, nothing refused, nothing swept in error."""
     for name, then in (("a.ply", 4e9), ("b.ply", 0)):
         (tmp_path / name).write_bytes((good / "a.ply").read_bytes())
@@ -411,7 +414,7 @@ def test_a_clock_that_is_set_back(good, obeys, tmp_path, monkeypatch):  # noqa: 
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs the rights to become another user")
-def test_an_unreadable_file_as_a_plain_user(good, tmp_path):  # noqa: F811
+def test_an_unreadable_file_as_a_plain_user(good, tmp_path):
     """Every door says so in one line; run as a user without rights."""
     shown = {"m.csv": "calibrate", "r.csv": "calibrate"}
     code = (
@@ -447,24 +450,72 @@ def test_an_unreadable_file_as_a_plain_user(good, tmp_path):  # noqa: F811
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_study_with_its_own_code_and_all_finished_rows(tmp_path, number):
-    """The signal goes to the whole group, as from a keyboard; no worker says a word either."""
+    """The signal goes to the whole group, as from a keyboard or a closed terminal; no worker says a word either."""
     rows = tmp_path / "rows.csv"
     process = command(
         "study", "compound", "-o", rows, "--cases", 500, "--jobs", 2, start_new_session=True,
         preexec_fn=lambda: [signal.signal(one, signal.SIG_DFL) for one in (signal.SIGINT, signal.SIGHUP)],
     )  # fmt: skip
     wait_for(lambda: rows.exists() and rows.read_bytes().count(b"\n") > 1, process)
-    if number == signal.SIGHUP:  # to the whole group it would end joblib's own helper, which complains of that
-        process.send_signal(number)
-    else:
-        os.killpg(process.pid, number)
+    os.killpg(process.pid, number)
     _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + number
-    assert b"grindvision study: interrupted; nothing half-written is left" in error.splitlines()
-    assert b"Traceback" not in error
+    assert error == b"grindvision study: interrupted; nothing half-written is left\n"
     assert [path.name for path in tmp_path.iterdir()] == ["rows.csv"]
     with RowsFile(rows) as found:
         assert 1 <= len(found.stored) < 500
+
+
+BOOK = """
+import pathlib, sys
+from grindvision_book.machinery import places
+folder = pathlib.Path(sys.argv.pop(1))
+places.NOTEBOOKS, places.BUILD = folder / "notebooks", folder / "build"
+places.FAST_FIGURES = places.BUILD / "fast" / "figures"
+from grindvision.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_build_of_the_book_and_its_kernels(tmp_path, number):
+    chapter = new_notebook(cells=[new_code_cell("import os, time\nopen('begun', 'w').write('now')\ntime.sleep(3600)")])
+    chapter.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks" / "01_one.ipynb").write_text(writes(chapter))
+    begun = tmp_path / "build" / "fast" / "executed" / "begun"
+    process = command(
+        tmp_path, "book", "--fast", run=("-c", BOOK), start_new_session=True,
+        preexec_fn=lambda: [signal.signal(one, signal.SIG_DFL) for one in (signal.SIGINT, signal.SIGHUP)],
+    )  # fmt: skip
+    wait_for(begun.exists, process)
+    kernels = children(process.pid)
+    assert kernels
+    os.killpg(process.pid, number)
+    said, error = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 128 + number
+    assert error == b"grindvision book: interrupted; nothing half-written is left\n"
+    assert said.count(b"\n") == 1 and b"failed" not in said
+    assert not [kernel for kernel in kernels if alive(kernel)]
+    assert "interrupted" in (tmp_path / "build" / "reading" / "index.html").read_text()
+    left = {path.name for path in (tmp_path / "build").rglob("*") if path.is_file()}
+    assert left == {"lock", "begun", "index.html"}
+    with only_build(tmp_path / "build"):
+        pass
+
+
+def children(process_id: int) -> list[int]:
+    """Processes that this one has started, where the system lists them."""
+    listed = Path(f"/proc/{process_id}/task/{process_id}/children")
+    return [int(child) for child in listed.read_text().split()]
+
+
+def alive(process_id: int) -> bool:
+    """Whether this process runs; one that has ended and that nobody has asked for does not."""
+    try:
+        return Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def test_signals_wait_while_results_are_put_in_place(tmp_path):
@@ -519,7 +570,7 @@ def test_a_study_sweeps_what_a_killed_one_left_and_refuses_a_pipe(tmp_path):
 # What the data cannot tell is asked; what they can is said
 
 
-def test_the_questions_stand_in_the_report_and_on_stdout(good, tmp_path, capfd):  # noqa: F811
+def test_the_questions_stand_in_the_report_and_on_stdout(good, tmp_path, capfd):
     write_json(tmp_path / "pose.json", rigid(translation_mm=[800.0, 10, 900]))
     words = ["detect", str(good / "sample.ply"), str(good / "test.ply"), "--scanner-pose", str(tmp_path / "pose.json")]
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
@@ -563,7 +614,7 @@ def test_a_pose_without_translation_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_a_left_handed_scan_read_as_such_gives_the_same_answer(good, obeys, tmp_path, axis):  # noqa: F811
+def test_a_left_handed_scan_read_as_such_gives_the_same_answer(good, obeys, tmp_path, axis):
     signs = np.where(np.array(list("xyz")) == axis, -1.0, 1.0)
     for name in ("sample", "test"):
         write_ply(tmp_path / f"{name}.ply", read_cloud(good / f"{name}.ply").points * signs)

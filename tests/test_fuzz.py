@@ -29,7 +29,7 @@ from grindvision.files import read_json, read_toml
 from grindvision.result_set import write_set
 from grindvision.vision.depth_calibration.field_correction import read_field
 from grindvision_book.studies.rows import RowsFile
-from tests.test_bad_input import pcd
+from tests.doors_law import pcd
 
 DRAWN = int(os.environ.get("GRINDVISION_FUZZ", 0))
 POINTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32).astype(float) * 30

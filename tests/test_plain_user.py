@@ -10,7 +10,7 @@ import pytest
 
 import grindvision
 from grindvision.caches import matplotlib_has_a_folder
-from tests.test_bad_input import good  # noqa: F401
+from tests.doors_law import good  # noqa: F401
 
 #: As root the rights of files count for nothing, unless that right is given up.
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set=-all"] if hasattr(os, "getuid") and os.getuid() == 0 else []
@@ -44,7 +44,7 @@ def installation(tmp_path_factory):
         folder.chmod(0o755)
 
 
-def test_every_command_on_a_read_only_installation_without_a_home(installation, good, tmp_path):  # noqa: F811
+def test_every_command_on_a_read_only_installation_without_a_home(installation, good, tmp_path):
     temporary, work = tmp_path / "tmp", tmp_path / "work"
     temporary.mkdir(mode=0o777)
     work.mkdir(mode=0o777)

@@ -10,7 +10,12 @@ Result = TypeVar("Result")
 
 
 class _Loop(asyncio.SelectorEventLoop):
-    """An event loop that leaves the signals alone: nbclient would clean up one kernel and let the build go on."""
+    """An event loop that leaves the signals alone: nbclient would clean up one kernel and let the build go on.
+
+    ``ending`` is true from the moment when all that runs is told to end.
+    """
+
+    ending = False
 
     def add_signal_handler(self, sig: int, callback: Callable[..., object], *args: object) -> None:
         raise NotImplementedError("the signals that end a build belong to the command")
@@ -26,6 +31,7 @@ def run_all(work: Coroutine[Any, Any, Result]) -> Result:
     try:
         return loop.run_until_complete(work)
     finally:
+        loop.ending = True
         try:
             tasks = asyncio.all_tasks(loop)
             for task in tasks:
@@ -36,3 +42,8 @@ def run_all(work: Coroutine[Any, Any, Result]) -> Result:
         finally:
             asyncio.set_event_loop(None)
             loop.close()
+
+
+def is_ending() -> bool:
+    """Whether the work that asks is told to end; nbclient takes that for a kernel that died."""
+    return getattr(asyncio.get_running_loop(), "ending", False)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from grindvision.files import write_whole
 from grindvision_book.machinery.arithmetic import PINS, pins
+from grindvision_book.machinery.event_loop import is_ending
 
 #: A cell that takes longer than this has hung.
 CELL_TIMEOUT_S = 900
+NO_MESSAGE = "no message"
 
 _LOADED = """
 import json as _json, sys as _sys
@@ -37,6 +41,9 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
         copy: where it goes with its outputs.
         environment: of the kernel.
         folder: that the kernel works in.
+
+    Raises:
+        asyncio.CancelledError: the build was told to end; no copy is written then.
     """
     import nbformat
     from nbclient import NotebookClient
@@ -57,15 +64,21 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
     failure = ""
     asked = nbformat.v4.new_code_cell(_LOADED)
     notebook.cells.append(asked)
-    try:
-        await client.async_execute(env=dict(environment), cwd=str(folder))
-    except CellExecutionError as error:
-        reason = error.evalue.strip() or _failing_line(error.traceback)
-        failure = f"cell {begun[-1]} failed: {error.ename}: {_first_line(reason)}"
-    except CellTimeoutError:
-        failure = f"cell {begun[-1]} took longer than {CELL_TIMEOUT_S} s"
-    except DeadKernelError:
-        failure = f"cell {begun[-1]} ended its kernel (out of memory, or a crash in a library)"
+    with tempfile.TemporaryFile() as said:  # by the kernel itself and by C code; what Python says is in the notebook
+        try:
+            await client.async_execute(env=dict(environment), cwd=str(folder), stderr=said)
+        except CellExecutionError as error:
+            reason = error.evalue.strip() or _failing_line(error.traceback)
+            failure = f"cell {begun[-1]} failed: {error.ename}: {_first_line(reason)}"
+        except CellTimeoutError:
+            failure = f"cell {begun[-1]} took longer than {CELL_TIMEOUT_S} s"
+        except DeadKernelError:
+            if is_ending():
+                raise asyncio.CancelledError from None
+            said.seek(0)
+            last = _last_line(said.read().decode(errors="replace"))
+            words = "" if last == NO_MESSAGE else f"; its last words: {last}"
+            failure = f"cell {begun[-1]} ended its kernel (out of memory, or a crash in a library{words})"
     notebook.cells.remove(asked)
     with write_whole(copy) as path:
         nbformat.write(notebook, path)
@@ -95,7 +108,7 @@ def _failing_line(traceback: str) -> str:
 
 
 def _first_line(text: str) -> str:
-    return next((line.strip() for line in text.splitlines() if line.strip()), "no message")
+    return next((line.strip() for line in text.splitlines() if line.strip()), NO_MESSAGE)
 
 
 def _last_line(text: str) -> str:

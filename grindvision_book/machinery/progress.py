@@ -35,10 +35,12 @@ class Progress(Watcher):
         self._ticker.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._over.set()
         self._ticker.join()
         self._bar.close()
+        if kind is not None and self._total:
+            self._page.stopped()
 
     def planned(self, numbers: Sequence[str], workers: int) -> None:
         """Chapters of this build."""

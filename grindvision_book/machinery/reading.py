@@ -94,6 +94,10 @@ class ReadingPage:
         link = f"<p><a href='{site.resolve().as_uri()}'>The HTML book</a> is complete.</p>" if site else ""
         self._write(f"<p>Everything is done.</p>{link}", renew=False)
 
+    def stopped(self) -> None:
+        """The build was ended before its end: say so, and stop to renew the list."""
+        self._write("<p>The build was interrupted; call it again and it goes on with what is left.</p>", renew=False)
+
     def _write(self, head: str = "", renew: bool = True) -> None:
         rows = "".join(
             f"<tr><td>{number}</td><td>{html.escape(self._titles.get(number, ''))}</td><td>{state}</td></tr>"

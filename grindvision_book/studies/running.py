@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import signal
 import warnings
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
@@ -168,8 +169,10 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
 
     row = {"case": case, **parameters}
     given = {name: value for name, value in parameters.items() if name != "stream"}
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The TBB threading layer")  # another is taken: nothing that matters here
+        threads = numba.get_num_threads()
+        numba.set_num_threads(1)
     try:
         with threadpool_limits(1):
             values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
@@ -193,5 +196,28 @@ def _here(
     with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1), warnings.catch_warnings():
         # loky replaces workers that have grown, and says so; their cases run again.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+        _start_helper_that_outlives_us()
         parallel = Parallel(return_as="generator_unordered")
         yield from parallel(delayed(_measured)(measure, case, values, seed) for case, values in missing.items())
+
+
+def _start_helper_that_outlives_us() -> None:
+    """Start loky's resource tracker without SIGHUP, which a closed terminal sends to all; loky keeps SIGTERM from it.
+
+    The tracker removes what the workers shared when all of them have ended, and need not say so. When it is gone first,
+    loky starts another one, which knows of nothing and complains.
+    """
+    from joblib.externals.loky.backend import resource_tracker
+
+    if not hasattr(signal, "SIGHUP"):
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+    said = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [said, "ignore:resource_tracker:UserWarning"]))
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        os.environ.pop("PYTHONWARNINGS")
+        if said is not None:
+            os.environ["PYTHONWARNINGS"] = said
