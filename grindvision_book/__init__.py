@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "machinery.answers": ("answer", "scoreboard", "verdicts"),
+    "machinery.answers": ("answer", "missed", "scoreboard", "verdicts"),
     "exercises.checking": ("check", "progress"),
     "machinery.figures": ("save_figure", "save_scene", "save_table"),
     "machinery.session": ("COLOURS", "fast", "provenance", "start"),

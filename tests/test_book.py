@@ -20,12 +20,13 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 import grindvision_book as book
 from grindvision import cli, paper
 from grindvision.errors import FileError, InputError
-from grindvision_book.machinery.answers import judged, verdict, write_scoreboard
+from grindvision_book.machinery.answers import judged, summary, write_scoreboard
 from grindvision_book.machinery.chapters import chosen
+from grindvision_book.machinery.evidence import VERDICTS, count_by_class, trivial_answers_pass, verdict
 from grindvision_book.machinery.kernels import kernel_environment
 from grindvision_book.machinery.rebuilding import rebuild
 
-EXPECTED = paper.expected()
+EXPECTED, EVIDENCE = paper.expected(), paper.EVIDENCE
 FIRST = EXPECTED.iloc[0]
 
 
@@ -130,23 +131,82 @@ def test_no_colour_stands_for_two_things():
 # --- answers and verdicts
 
 
+@pytest.mark.parametrize("evidence", ["print alone", "paper's method on a twin", "ours on a twin"])
 @pytest.mark.parametrize(
-    "rebuilt, paper_value, better, word",
+    "rebuilt, paper_value, claim, trivial, word",
     [
-        (1.05, 1.0, "", "reproduced"),
-        (0.95, 1.0, "lower", "reproduced"),
-        (0.8, 1.0, "lower", "better"),
-        (1.2, 1.0, "lower", "not reproduced"),
-        (1.2, 1.0, "higher", "better"),
-        (0.8, 1.0, "higher", "not reproduced"),
-        (0.8, 1.0, "", "not reproduced"),
-        (0.05, np.nan, "lower", "reproduced"),
-        (0.2, np.nan, "lower", "not reproduced"),
-        (np.nan, 1.0, "lower", "not yet"),
+        (1.05, 1.0, "equal", "no", "reproduced"),
+        (1.05, 1.0, "equal", "yes", "within its bound"),
+        (1.2, 1.0, "equal", "no", "not reproduced"),
+        (0.8, 1.0, "equal", "yes", "not reproduced"),
+        (0.2, 1.0, "at most", "yes", "within its bound"),
+        (1.2, 1.0, "at most", "yes", "not reproduced"),
+        (0.95, 1.0, "at least", "no", "reproduced"),
+        (0.8, 1.0, "at least", "no", "not reproduced"),
+        (0.05, np.nan, "at most", "", "within its bound"),
+        (0.2, np.nan, "at most", "", "outside its bound"),
+        (0.2, np.nan, "at least", "", "within its bound"),
+        (0.05, np.nan, "at least", "", "outside its bound"),
+        (np.nan, 1.0, "equal", "no", "not yet"),
     ],
 )
-def test_the_verdict_follows_difference_tolerance_and_direction(rebuilt, paper_value, better, word):
-    assert verdict(rebuilt, paper_value, 0.1, better) == word
+def test_reproduced_is_said_of_a_printed_value_that_no_trivial_answer_would_meet(
+    rebuilt, paper_value, claim, trivial, word, evidence
+):
+    assert verdict(rebuilt, paper_value, 0.1, claim, evidence, trivial) == word
+
+
+@pytest.mark.parametrize(
+    "evidence, inside, outside",
+    [
+        ("recovers a planted truth", "recovered", "outside its bound"),
+        ("follows from the print by construction", "within its bound", "outside its bound"),
+        ("measured", "within its bound", "outside its bound"),
+        ("own bound", "within its bound", "outside its bound"),
+        ("not comparable", "not comparable", "not comparable"),
+    ],
+)
+def test_other_classes_have_words_of_their_own(evidence, inside, outside):
+    for printed in (1.0, np.nan):
+        edge = 0.0 if np.isnan(printed) else printed
+        assert verdict(edge + 0.1, printed, 0.1, "at most", evidence, "no") == inside
+        assert verdict(edge + 0.2, printed, 0.1, "at most", evidence, "no") == outside
+    assert verdict(1.0, 1.0, 0.1, "equal", "recovers a planted truth", "yes") == "within its bound"
+
+
+def test_trivial_answers_are_zero_the_nominal_value_and_the_mean_of_the_print():
+    row = {"item": "t", "unit": "mm", "evidence": "ours on a twin", "claim": "equal", "nominal": np.nan}
+    rows = pd.DataFrame(
+        [
+            row | {"paper": 30.4, "nominal": 30.45, "tolerance": 0.1, "reason": "one"},
+            row | {"paper": 30.4, "tolerance": 0.1, "reason": "alone"},
+            row | {"paper": 0.05, "tolerance": 0.1, "reason": "small"},
+            row | {"paper": 10.0, "tolerance": 1.5, "reason": "table"},
+            row | {"paper": 12.0, "tolerance": 1.5, "reason": "table"},
+            row | {"paper": 0.5, "tolerance": 0.0, "reason": "limit", "claim": "at most"},
+            row | {"paper": np.nan, "tolerance": 0.1, "reason": "bound", "claim": "at most"},
+            row | {"paper": 0.0, "tolerance": 0.1, "reason": "shown", "evidence": "not comparable"},
+        ]
+    )
+    assert trivial_answers_pass(rows) == ["yes", "no", "yes", "yes", "yes", "yes", "", ""]
+
+
+def test_what_a_trivial_answer_passes_is_never_called_reproduced_or_recovered():
+    every = EXPECTED[["item", "quantity"]].assign(kind="synthetic", figure="", settings="full")
+    for value in (0.0, 30.4, *EXPECTED["paper"].dropna().unique()):
+        table = judged(every.assign(rebuilt=value))
+        good = table["verdict"].isin(["reproduced", "recovered"])
+        assert not (good & (table["trivial answer passes"] == "yes")).any()
+        refutable = table["paper"].notna() & table["evidence"].isin(EVIDENCE[:3])
+        assert not (table["verdict"].isin(["reproduced", "not reproduced"]) & ~refutable).any()
+
+
+def test_classes_are_counted_and_every_row_counts_once():
+    table = judged(answers(1.0))
+    counts = count_by_class(table).set_index("evidence")
+    assert counts.loc["all", "numbers"] == len(EXPECTED) == counts["numbers"][:-1].sum()
+    assert (counts[list(VERDICTS)].sum(axis=1) == counts["numbers"]).all()
+    assert f"{len(EXPECTED)} numbers: " in summary(table)
 
 
 def test_the_scoreboard_has_one_row_for_every_expected_row_in_its_order():
@@ -165,11 +225,22 @@ def test_an_answer_appears_in_the_verdicts_and_on_the_scoreboard(figures):
     book.answer(FIRST["item"], FIRST["quantity"], value + 1000, "synthetic")
     book.answer(FIRST["item"], FIRST["quantity"], value, "synthetic", "table1")
     own = book.verdicts()
-    assert set(own["verdict"]) <= {"reproduced", "not yet"} and (own["verdict"] == "reproduced").sum() == 1
+    word = "within its bound"  # the nominal value would pass as well
+    assert set(own["verdict"]) <= {word, "not yet"} and (own["verdict"] == word).sum() == 1
+    assert book.missed() == []
     row = write_scoreboard(figures).iloc[0]
-    assert row["verdict"] == "reproduced" and row["kind"] == "synthetic" and row["figure"] == "table1"
+    assert (
+        row["verdict"] == word
+        and row["trivial answer passes"] == "yes"
+        and row["kind"] == "synthetic"
+        and row["figure"] == "table1"
+    )
     assert row["difference"] == pytest.approx(value - FIRST["paper"])
-    assert f"{len(EXPECTED)} numbers: 1 reproduced" in (figures / "scoreboard.md").read_text()
+    page = (figures / "scoreboard.md").read_text()
+    assert f"{len(EXPECTED)} numbers: 0 reproduced" in page and f"1 {word}" in page
+    assert page.index("## Print alone") < page.index("## Ours on a twin") < page.index("height at P1")
+    book.answer(FIRST["item"], FIRST["quantity"], value + 1000, "synthetic")
+    assert book.missed() == [FIRST["quantity"]]
 
 
 def test_an_answer_nobody_expects_is_refused_with_near_names(figures):

@@ -98,13 +98,20 @@ def test_every_chapter_begins_with_its_rows_of_the_scoreboard(whole_site):
         page, rows = text_of(whole_site, f"notebooks/{chapter.stem}.html"), board[board["chapter"] == number]
         assert page.count('class="verdict') + page.count("class='verdict") == len(rows)
         if len(rows):
-            assert page.index("Held against the paper") < page.index("What you will learn")
+            assert page.index("What the numbers of this chapter are worth") < page.index("What you will learn")
 
 
 def test_a_verdict_is_told_in_words():
     row = {"item": "a<b", "quantity": "q", "unit": "mm", "paper": float("nan"), "rebuilt": 1.25, "tolerance": 0.5}
-    text = scoreboard_html(pd.DataFrame([row | {"verdict": "not reproduced"}]))
-    assert "a&lt;b" in text and ">not reproduced</span>" in text and "1.25 mm" in text and "nan" not in text
+    row |= {"evidence": "own bound", "claim": "at most", "verdict": "outside its bound", "trivial answer passes": ""}
+    text = scoreboard_html(pd.DataFrame([row]))
+    assert (
+        "a&lt;b" in text
+        and ">outside its bound</span>" in text
+        and "1.25 mm" in text
+        and "own bound: 1 outside its bound" in text
+        and "nan" not in text
+    )
 
 
 def test_the_gallery_shows_every_figure_and_table_with_its_files(whole_site, pages):

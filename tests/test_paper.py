@@ -61,10 +61,17 @@ def test_corrections_of_table_2_are_in_radians_and_millimetres():
 def test_every_expected_number_has_a_tolerance_a_reason_and_a_chapter():
     expected = paper.expected()
     assert (expected["tolerance"] >= 0).all()
-    assert (expected["tolerance_fast"] >= expected["tolerance"]).all()
+    bound = np.where((expected["claim"] == "at least") & expected["paper"].isna(), -1, 1)
+    assert (bound * expected["tolerance_fast"] >= bound * expected["tolerance"]).all()
     assert expected["reason"].str.len().gt(10).all()
     assert expected["chapter"].str.fullmatch(r"\d\d").all()
-    assert set(expected["better"]) <= {"", "lower", "higher"}
+    assert set(expected["evidence"]) <= set(paper.EVIDENCE) and set(expected["claim"]) <= set(paper.CLAIMS)
+
+
+def test_nominal_values_are_those_of_the_papers():
+    expected = paper.expected()
+    given = expected[expected["nominal"].notna()].groupby("item")["nominal"].unique().to_dict()
+    assert given == {"table1": [paper.headline("target_height")], "table2": [0.0]}
 
 
 def test_expected_values_are_those_of_the_printed_tables():
@@ -72,9 +79,9 @@ def test_expected_values_are_those_of_the_printed_tables():
     for position, height in paper.table("diao2018_table1")[["position", "measured_height_mm"]].itertuples(index=False):
         assert expected["table1", f"height at {position}"] == height
     for quantity in ("mean", "largest", "standard deviation"):
-        row = [value for (item, name), value in expected.items() if item == "fig05" and name.startswith(quantity)]
+        row = {value for (item, name), value in expected.items() if item == "fig05" and name.startswith(quantity)}
         key = {"mean": "sphere_mean_absolute_error", "largest": "sphere_max_error"}.get(quantity, "sphere_error_std")
-        assert row == [paper.headline(key)]
+        assert row == {paper.headline(key)}
 
 
 def test_unknown_names_list_the_known_ones():
@@ -92,6 +99,16 @@ def test_damaged_expected_values_are_refused(damaged):
     path.write_text(text.replace(",0.0277,", ",small,", 1))
     with pytest.raises(FileError, match="'small' is not a number"):
         paper.expected()
+    for good, bad, complaint in (
+        (",ours on a twin,", ",ours,", "'ours' is none of print alone"),
+        (",at most,", ",below,", "none of"),
+    ):
+        path.write_text(text.replace(good, bad, 1))
+        with pytest.raises(FileError, match=complaint):
+            paper.expected()
+    path.write_text(text.replace(",at most,,", ",equal,,", 1))
+    with pytest.raises(FileError, match="needs a printed value"):
+        paper.expected()
     lines = text.splitlines()
     path.write_text("\n".join([*lines, lines[1]]))
     with pytest.raises(FileError, match="repeats table1 / height at P1"):
@@ -105,7 +122,7 @@ def test_a_missing_data_folder_is_named(monkeypatch, tmp_path):
 
 
 #: What a row of expected.csv promises; the words around it may change without a new signature.
-PROMISES = ["item", "quantity", "paper", "tolerance", "tolerance_fast", "better"]
+PROMISES = ["item", "quantity", "evidence", "claim", "paper", "nominal", "tolerance", "tolerance_fast"]
 
 
 def signature(path):

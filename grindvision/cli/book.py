@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
 def _build(options: argparse.Namespace) -> int:
     from grindvision_book.machinery.answers import scoreboard, summary
     from grindvision_book.machinery.chapters import chapters, chosen
+    from grindvision_book.machinery.evidence import count_by_class
     from grindvision_book.machinery.places import BUILD, FAST_FIGURES, FIGURES, ROOT
     from grindvision_book.machinery.progress import Progress
     from grindvision_book.machinery.publishing import told
@@ -52,8 +53,9 @@ def _build(options: argparse.Namespace) -> int:
         say("\n".join(["", *told([file for outcome in outcomes for file in outcome.published])]))
 
     table = scoreboard(figures)
-    shown = table[["item", "quantity", "unit", "paper", "rebuilt", "tolerance", "verdict"]]
+    shown = table[["item", "quantity", "unit", "paper", "rebuilt", "verdict"]]
     say("\n" + shown.to_string(index=False, na_rep="", float_format="{:.4g}".format, max_colwidth=60))
+    say("\n" + count_by_class(table).to_string(index=False))
     say(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}", str(figures))
     site = None
     if options.site:

@@ -2,6 +2,8 @@
 
 from grindvision.data_files import data_folder
 from grindvision.paper.printed import (
+    CLAIMS,
+    EVIDENCE,
     TABLES,
     expected,
     hand_eye,
@@ -11,4 +13,15 @@ from grindvision.paper.printed import (
     table,
 )
 
-__all__ = ["TABLES", "data_folder", "expected", "hand_eye", "headline", "mdh_corrections", "path_points", "table"]
+__all__ = [
+    "CLAIMS",
+    "EVIDENCE",
+    "TABLES",
+    "data_folder",
+    "expected",
+    "hand_eye",
+    "headline",
+    "mdh_corrections",
+    "path_points",
+    "table",
+]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -25,6 +27,22 @@ TABLES = {
     "peng2020_table1": ("workpiece", ("points", "runtime_s")),
     "peng2020_table2": ("workpiece", (*(f"test{i}_percent" for i in range(1, 6)), "mean_percent")),
 }
+
+
+#: Classes of evidence for a number of ``expected.csv``, strongest use of the print first.
+EVIDENCE = (
+    "print alone",
+    "paper's method on a twin",
+    "ours on a twin",
+    "recovers a planted truth",
+    "follows from the print by construction",
+    "measured",
+    "own bound",
+    "not comparable",
+)
+
+#: What a row claims of its value against the printed one, or against its bound.
+CLAIMS = ("equal", "at most", "at least")
 
 
 def table(name: str) -> pd.DataFrame:
@@ -86,28 +104,35 @@ def path_points(table_number: int) -> tuple[Floats, Floats]:
 
 
 def expected() -> pd.DataFrame:
-    """Every number that the book answers to: paper value, tolerance and its reason, from ``expected.csv``.
+    """Every number that the book answers to, from ``expected.csv``: printed value, class of evidence, bound and reason.
 
-    ``paper`` is NaN where the paper states no value; the tolerance then bounds the rebuilt value itself.
+    ``paper`` is NaN where nothing is printed; the tolerance then is the bound of the rebuilt value itself. ``nominal``
+    is what a drawing says, NaN where none does.
 
     Raises:
         FileError: missing or damaged, or two rows with the same item and quantity.
     """
     path = data_folder() / "paper" / "expected.csv"
-    texts = ("item", "quantity", "unit", "paper", "better", "source", "chapter", "reason")
+    texts = ("item", "quantity", "unit", "evidence", "claim", "paper", "nominal", "source", "chapter", "reason")
     rows = read_table(path, ("tolerance", "tolerance_fast"), texts)
     rows["chapter"] = rows["chapter"].astype(int).map("{:02d}".format)
-    rows["better"] = rows["better"].fillna("")
-    stated = rows["paper"].notna()
-    numbers = pd.to_numeric(rows["paper"], errors="coerce")
-    if (stated & numbers.isna()).any():
-        row = int((stated & numbers.isna()).to_numpy().argmax())
-        raise FileError(
-            f"{path}: row {row + 1}, column paper: {rows['paper'].iloc[row]!r} is not a number; mend the file"
-        )
-    rows["paper"] = numbers.astype(float)
+    for column in ("paper", "nominal"):
+        numbers = pd.to_numeric(rows[column], errors="coerce")
+        _refuse(path, rows, rows[column].notna() & numbers.isna(), column, "is not a number")
+        rows[column] = numbers.astype(float)
+    for column, known in (("evidence", EVIDENCE), ("claim", CLAIMS)):
+        _refuse(path, rows, ~rows[column].isin(known), column, f"is none of {', '.join(known)}")
+    _refuse(path, rows, (rows["claim"] == "equal") & rows["paper"].isna(), "claim", "needs a printed value")
     twice = rows.duplicated(["item", "quantity"])
     if twice.any():
         row = int(twice.to_numpy().argmax())
         raise FileError(f"{path}: row {row + 1} repeats {rows['item'].iloc[row]} / {rows['quantity'].iloc[row]}")
     return rows
+
+
+def _refuse(path: Path, rows: pd.DataFrame, bad: pd.Series, column: str, complaint: str) -> None:
+    if bad.any():
+        row = int(bad.to_numpy().argmax())
+        raise FileError(
+            f"{path}: row {row + 1}, column {column}: {rows[column].iloc[row]!r} {complaint}; mend the file"
+        )

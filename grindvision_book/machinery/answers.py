@@ -1,14 +1,17 @@
-"""Answers of the chapters, and the scoreboard that judges them against ``expected.csv``."""
+"""Answers of the chapters, and the scoreboard that judges them against ``expected.csv`` by class of evidence."""
 
 from __future__ import annotations
 
 import difflib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import FileError, InputError
 from grindvision.files import read_table, write_text
+from grindvision.paper import EVIDENCE, expected
 from grindvision_book.machinery.blocks import write_changed
+from grindvision_book.machinery.bound_dates import ORDERS, bounds_by_row
+from grindvision_book.machinery.evidence import VERDICTS, count_by_class, trivial_answers_pass, verdict
 from grindvision_book.machinery.figures import csv_text, markdown_table
 from grindvision_book.machinery.places import figures_folder, finished_folder
 from grindvision_book.machinery.session import current_chapter, fast, given_answers
@@ -16,11 +19,11 @@ from grindvision_book.machinery.session import current_chapter, fast, given_answ
 if TYPE_CHECKING:
     import pandas as pd
 
-KINDS = ("printed", "synthetic", "measured")
-VERDICTS = ("reproduced", "better", "not reproduced", "not yet")
+#: What a number was computed from: *timed* by a clock here; *assumed*: printed numbers and lengths that are not.
+KINDS = ("printed", "synthetic", "measured", "timed", "assumed")
 COLUMNS = [
-    "item", "source", "quantity", "unit", "paper", "rebuilt", "difference", "tolerance", "verdict", "kind", "chapter",
-    "figure",
+    "item", "source", "quantity", "unit", "evidence", "paper", "rebuilt", "difference", "claim", "tolerance", "verdict",
+    "trivial answer passes", "bound written", "bound changed", "bound order", "kind", "chapter", "figure",
 ]  # fmt: skip
 
 
@@ -30,15 +33,13 @@ def answer(item: str, quantity: str, value: float, kind: str, figure: str = "") 
     Args:
         item, quantity: name the row.
         value: in the row's unit.
-        kind: what it was computed from: ``printed``, ``synthetic`` or ``measured``.
+        kind: what it was computed from, one of ``KINDS``.
         figure: name of the figure or table that shows it.
 
     Raises:
         InputError: no such row (near names are listed), another chapter's row, unknown kind, no finite number.
     """
     import pandas as pd
-
-    from grindvision.paper import expected
 
     chapter = current_chapter()
     rows = expected()
@@ -67,12 +68,19 @@ def answer(item: str, quantity: str, value: float, kind: str, figure: str = "") 
 
 
 def verdicts() -> pd.DataFrame:
-    """This chapter's rows: item, quantity, unit, paper, rebuilt, difference, tolerance, verdict."""
+    """This chapter's rows: item, quantity, unit, evidence, paper, rebuilt, claim, tolerance, trivial, verdict."""
     import pandas as pd
 
     table = judged(pd.DataFrame(given_answers().values(), columns=list(_ANSWER_COLUMNS)))
     mine = table[table["chapter"] == current_chapter()].reset_index(drop=True)
-    return mine[["item", "quantity", "unit", "paper", "rebuilt", "difference", "tolerance", "verdict"]]
+    shown = ["item", "quantity", "unit", "evidence", "paper", "rebuilt", "claim", "tolerance", "verdict"]
+    return mine[[*shown, "trivial answer passes"]]
+
+
+def missed() -> list[str]:
+    """Quantities of this chapter that are not reproduced, or outside their bound, in the order of ``expected.csv``."""
+    rows = verdicts()
+    return rows.loc[rows["verdict"].isin(["not reproduced", "outside its bound"]), "quantity"].tolist()
 
 
 def scoreboard(folder: Path | None = None) -> pd.DataFrame:
@@ -95,11 +103,30 @@ def write_scoreboard(folder: Path) -> pd.DataFrame:
     """Judge the answers in ``folder``, write ``scoreboard.csv`` and ``scoreboard.md`` there, and return the table."""
     table = scoreboard(folder)
     write_changed(folder / "scoreboard.csv", csv_text(table))
-    shown = table.assign(
-        figure=[f"[{name}]({name}.{_suffix(folder, name)})" if name else "" for name in table["figure"]]
-    )
-    write_changed(folder / "scoreboard.md", f"# Scoreboard\n\n{summary(table)}.\n\n{markdown_table(shown)}\n")
+    write_changed(folder / "scoreboard.md", scoreboard_page(table, folder))
     return table
+
+
+def scoreboard_page(table: pd.DataFrame, folder: Path) -> str:
+    """The scoreboard in Markdown: counts by class of evidence, then each class's rows; figures lie in ``folder``."""
+    shown = table.assign(
+        bound=[bound_text(row) for row in table.itertuples(index=False)],
+        dated=[
+            written if order in ("", ORDERS[0]) else f"{written}, {order}"
+            for written, order in zip(table["bound written"], table["bound order"], strict=True)
+        ],
+        figure=[f"[{name}]({name}.{_suffix(folder, name)})" if name else "" for name in table["figure"]],
+    )
+    columns = {name: name for name in ("item", "quantity", "unit", "paper", "rebuilt", "bound", "verdict")}
+    columns |= {"trivial answer passes": "trivial passes", "dated": "bound written"}
+    columns |= {name: name for name in ("kind", "chapter", "figure", "source")}
+    shown = shown[["evidence", *columns]].set_axis(["evidence", *columns.values()], axis=1)
+    parts = ["# Scoreboard", f"{summary(table)}.", markdown_table(count_by_class(table)), _LEGEND]
+    for name in EVIDENCE:
+        rows = shown[shown["evidence"] == name].drop(columns="evidence")
+        if len(rows):
+            parts += [f"## {name[0].upper()}{name[1:]}", markdown_table(rows)]
+    return "\n\n".join(parts) + "\n"
 
 
 def summary(table: pd.DataFrame) -> str:
@@ -110,36 +137,39 @@ def summary(table: pd.DataFrame) -> str:
 
 def judged(answers: pd.DataFrame) -> pd.DataFrame:
     """Rows of ``expected.csv`` joined with answers (columns of ``answers_NN.csv``) and judged; columns ``COLUMNS``."""
-    from grindvision.paper import expected
-
-    table = expected().merge(answers, on=["item", "quantity"], how="left")
+    rows = expected()
+    table = rows.assign(**{"trivial answer passes": trivial_answers_pass(rows)})
+    for more in (answers, bounds_by_row()):
+        table = table.merge(more, on=["item", "quantity"], how="left")
     table["tolerance"] = table["tolerance"].where(table["settings"] != "fast", table["tolerance_fast"])
     table["rebuilt"] = table["rebuilt"].astype(float)
     table["difference"] = table["rebuilt"] - table["paper"]
     table["verdict"] = [
-        verdict(row.rebuilt, row.paper, row.tolerance, row.better) for row in table.itertuples(index=False)
+        verdict(*row)
+        for row in table[["rebuilt", "paper", "tolerance", "claim", "evidence", "trivial answer passes"]].itertuples(
+            index=False, name=None
+        )
     ]
-    for column in ("kind", "figure"):
+    for column in ("kind", "figure", "bound written", "bound changed", "bound order"):
         table[column] = table[column].astype(object).where(table[column].notna(), "")
     return table[COLUMNS]
 
 
-def verdict(rebuilt: float, paper: float, tolerance: float, better: str = "") -> str:
-    """The word for one rebuilt number.
+_LEGEND = """*Reproduced* and *not reproduced* are said only of a printed value that could have been refuted,
+*recovered* of a truth that was planted in the twin; both only where no trivial answer (0, the nominal value, the mean
+of the print) would pass as well. Everything else keeps its bound or does not. Each bound has the date (UTC) of the
+commit that wrote it; one that was written or changed with or after a result says so."""
 
-    Args:
-        rebuilt: NaN when no chapter has answered.
-        paper: NaN when the paper states none; the tolerance then bounds the rebuilt value itself.
-        tolerance: largest absolute difference that counts as the same.
-        better: ``lower`` or ``higher`` when a value beyond the tolerance on that side is an improvement, else empty.
-    """
-    if rebuilt != rebuilt:
-        return "not yet"
-    difference = rebuilt if paper != paper else rebuilt - paper
-    if abs(difference) <= tolerance:
-        return "reproduced"
-    good = {"lower": difference < 0, "higher": difference > 0}.get(better, False)
-    return "better" if good else "not reproduced"
+
+def bound_text(row: Any) -> str:
+    """What a row of the scoreboard (as a named tuple) is held to, in words; empty where nothing can be."""
+    if row.evidence == "not comparable":
+        return ""
+    if row.claim == "equal":
+        return f"\u00b1 {row.tolerance:g}"
+    printed = 0.0 if row.paper != row.paper else row.paper
+    slack = -row.tolerance if row.claim == "at least" and printed else row.tolerance
+    return f"{row.claim} {printed + slack:g}"
 
 
 _ANSWER_COLUMNS = ("item", "quantity", "rebuilt", "kind", "figure", "settings")

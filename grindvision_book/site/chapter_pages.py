@@ -7,7 +7,9 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from grindvision_book.machinery.answers import VERDICTS
+from grindvision.paper import EVIDENCE
+from grindvision_book.machinery.answers import bound_text
+from grindvision_book.machinery.evidence import VERDICTS
 from grindvision_book.site.pictures import Figure, lightened
 
 if TYPE_CHECKING:
@@ -53,21 +55,25 @@ def readable(
 def scoreboard_html(rows: pd.DataFrame) -> str:
     """Rows of the scoreboard as a table that unfolds, each with its verdict in words and colour."""
     head = "".join(
-        f"<th scope='col'>{name}</th>" for name in ("verdict", "item", "quantity", "paper", "rebuilt", "tolerance")
+        f"<th scope='col'>{name}</th>"
+        for name in ("verdict", "evidence", "item", "quantity", "paper", "rebuilt", "bound", "trivial answer passes")
     )
     lines = []
-    for row in rows.itertuples(index=False):
+    for row, trivial in zip(rows.itertuples(index=False), rows["trivial answer passes"], strict=True):
         unit = "" if row.unit == "1" else f" {html.escape(str(row.unit))}"
-        cells = [html.escape(str(row.item)), html.escape(str(row.quantity))]
+        cells = [html.escape(str(text), quote=False) for text in (row.evidence, row.item, row.quantity)]
         cells += [f"{_number(value)}{unit if value == value else ''}" for value in (row.paper, row.rebuilt)]
-        cells += [f"&plusmn;{_number(row.tolerance)}"]
+        cells += [html.escape(bound_text(row)), trivial]
         verdict = f"<td><span class='verdict {row.verdict.replace(' ', '-')}'>{row.verdict}</span></td>"
         lines.append("<tr>" + verdict + "".join(f"<td>{text}</td>" for text in cells) + "</tr>")
-    counts = {word: (rows["verdict"] == word).sum() for word in VERDICTS}
-    summary = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    summary = "; ".join(
+        f"{name}: " + ", ".join(f"{count} {word}" for word in VERDICTS if (count := (part["verdict"] == word).sum()))
+        for name in EVIDENCE
+        if len(part := rows[rows["evidence"] == name])
+    )
     fold = "open" if len(rows) <= FEW_ROWS else ""
     return (
-        f"<details class='scoreboard' {fold}><summary>Held against the paper: {summary}</summary>\n"
+        f"<details class='scoreboard' {fold}><summary>What the numbers of this chapter are worth. {summary}</summary>\n"
         f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>\n"
         "</details>"
     )
