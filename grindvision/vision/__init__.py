@@ -21,6 +21,7 @@ _HOMES = {
     "registration.verification": ("choose_pose",),
     "change.ridge_path": ("BeadPath", "trace_bead"),
     "change.detection": ("DetectOptions", "Detection", "detect"),
+    "change.stock": ("MeasureStockOptions", "Stock", "StockPiece", "measure_stock"),
     "change.change_detection": ("Difference", "find_change", "find_change_paper"),
     "seam.gfh_groove": ("GfhSettings", "find_groove_gfh"),
     "seam.groove": ("DetectedGroove", "FindGroovesOptions", "GrooveDetection", "find_grooves"),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points
-from grindvision.vision.change.change_detection import Difference, find_change
+from grindvision.vision.change.change_detection import Cluster, Difference, find_change
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, diagnose_table
 from grindvision.vision.registration.relative_scale import relative_scale
@@ -48,10 +48,10 @@ def diagnose(
     return tuple(found)
 
 
-def _missing_material(source: Scan, target: Scan, registration: FineRegistration) -> str:
-    """In words, where the target stands out of the source: material is missing, or the two scans were swapped.
+def missing_pieces(source: Scan, target: Scan, registration: FineRegistration) -> tuple[Cluster, ...]:
+    """Where the target stands out of the source: pieces of missing material, in the frame of the target.
 
-    Empty where nothing does. ``registration`` is T_target_source.
+    ``registration`` is T_target_source.
     """
     back = inverse(registration.T_target_source)
     rotation = np.kron(np.eye(2), back[:3, :3])
@@ -62,9 +62,14 @@ def _missing_material(source: Scan, target: Scan, registration: FineRegistration
         centre_mm=move_points(back, registration.centre_mm),
     )
     try:
-        pieces = find_change(target, source, backwards).clusters
+        return find_change(target, source, backwards).clusters
     except DegenerateError:
-        return ""
+        return ()
+
+
+def _missing_material(source: Scan, target: Scan, registration: FineRegistration) -> str:
+    """In words, where material is missing, or the two scans were swapped; empty where nothing is."""
+    pieces = missing_pieces(source, target, registration)
     if not pieces:
         return ""
     return (
