@@ -31,8 +31,16 @@ def test_one_scan_in_another_unit(case, factor):
 @pytest.mark.parametrize("told", [False, True])
 def test_a_mirrored_scan_is_named(case, mirror, told):
     options = DetectOptions(viewpoint_test_mm=np.zeros(3) if told else None)
-    with pytest.raises(InputError, match="mirror image"):
+    with pytest.raises(InputError, match=r"mirror image \(overlap \d+%, of it \d+% in agreement\).*--mirrored"):
         detect(case.sample, case.test @ mirror.T, options)
+
+
+@pytest.mark.parametrize("seed", [12, 13, 14])
+def test_a_sparse_mirrored_scan_that_leaves_a_motion_free_is_named_too(seed):
+    sparse = pair(seed=seed, n_points=3_000, beads=[arc_bead()])
+    told = r"ambiguous.*mirror image of the test scan fits in one pose alone \(overlap \d+%.*--mirrored"
+    with pytest.raises(AmbiguousError, match=told):
+        detect(sparse.sample, sparse.test * [1, -1, 1])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -57,8 +65,9 @@ def wheel(seed, folds=3):
 
 @pytest.mark.parametrize("seed", [1, 4, 12, 13, 18, 21, 28])
 def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
-    with pytest.raises(AmbiguousError, match="ambiguous: a rotation"):
+    with pytest.raises(AmbiguousError, match="ambiguous: a rotation") as refusal:
         detect(wheel(seed), wheel(seed + 100))
+    assert "mirror" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(("agreeing", "contradicting"), [(0.44, 0.29), (0.2, 0.1), (0.1, 0.05), (0.5, 0.45)])

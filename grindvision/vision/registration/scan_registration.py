@@ -37,6 +37,9 @@ MIN_POINTS = 500
 CERTAIN = 0.5
 """Only a mirror image that fits with this confidence is no chance: nearly flat parts fit their mirror image anyhow."""
 
+ALONE = 0.9
+"""Scans that are ambiguous as they are do fit as a mirror image where that fits in one pose alone, this surely."""
+
 
 @by_content
 @dataclass(frozen=True)
@@ -169,12 +172,19 @@ def register_pair(
         )
         if table := diagnose_table(coarse_source, coarse_target, names):
             raise type(refusal)(f"{refusal}; and {table}") from None
-        # what leaves a motion free mostly fits its mirror image too
-        if not isinstance(refusal, AmbiguousError) and _fits_mirrored(source, target, viewpoints_mm, rng):
+        mirrored = _mirrored_fit(source, target, viewpoints_mm, rng)
+        handed = "exported left-handed (two axes swapped, or one with the wrong sign)"
+        if isinstance(refusal, AmbiguousError):
+            if mirrored is not None and mirrored.confidence >= ALONE:
+                raise AmbiguousError(
+                    f"{refusal}; the mirror image of the {names.source} scan fits in one pose alone"
+                    f" ({mirrored.agreement}): if one of the two was {handed}, say --mirrored"
+                ) from None
+        elif mirrored is not None and mirrored.confidence >= CERTAIN:
             raise InputError(
-                f"the {names.source} scan fits the {names.target} only as its mirror image: one of the two was exported"
-                " left-handed (two axes swapped, or one with the wrong sign); export it again, or say"
-                " --mirrored; or do they show a symmetric part from its two sides?"
+                f"the {names.source} scan fits the {names.target} only as its mirror image ({mirrored.agreement}):"
+                f" one of the two was {handed}; export it again, or say --mirrored; or do they show a symmetric part"
+                " from its two sides?"
             ) from None
         raise
     clock.lap("verification")
@@ -245,12 +255,14 @@ def _first_alignment(
     return prepared_source, prepared_target, choose_pose(prepared_source, prepared_target, poses, choosing)
 
 
-def _fits_mirrored(source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator) -> bool:
-    """Whether the mirror image of the source (N, 3) fits the target (M, 3), and not by chance."""
+def _mirrored_fit(
+    source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator
+) -> VerifiedPose | None:
+    """The pose in which the mirror image of the source (N, 3) fits the target (M, 3); None where it fits in none."""
     mirror = np.array([1.0, -1.0, 1.0])
     seen_from = None if viewpoints_mm[0] is None else np.asarray(viewpoints_mm[0], dtype=float) * mirror
     try:
         *_, pose = _first_alignment(source * mirror, target, (seen_from, viewpoints_mm[1]), rng, StageClock())
     except DegenerateError:
-        return False
-    return pose.confidence >= CERTAIN
+        return None
+    return pose
