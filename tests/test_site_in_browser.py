@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from grindvision_book.site.pipelines import PLAYBACKS
 from grindvision_book.site.scenes import SCENES
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need the package playwright")
@@ -130,6 +131,29 @@ def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
     link.click()
     assert tab.locator("iframe").count() == 0
     assert not tab.troubles
+
+
+@pytest.mark.parametrize("playback", PLAYBACKS, ids=lambda playback: playback.name)
+def test_a_pipeline_plays_steps_to_its_end_and_hides_layers_by_touch_too(whole_site, browser, playback):
+    context = browser.new_context(viewport={"width": 390, "height": 700}, has_touch=True)
+    page = context.new_page()
+    page.goto((whole_site / "scenes" / f"{playback.name}.html").as_uri())
+    last = int(page.locator("#step").get_attribute("max"))
+    page.locator("#play").tap()
+    page.wait_for_function("() => document.body.dataset.step === '1'")
+    told = {page.locator("#title").text_content()}
+    for number in range(2, last + 1):
+        page.locator("#next").tap()
+        assert page.locator("body").get_attribute("data-step") == str(number)
+        told.add(page.locator("#title").text_content())
+    assert len(told) == last and page.locator("body").get_attribute("data-playing") == "false"
+    page.locator("#step").fill("1")
+    stage = page.locator("#stage")
+    drawn = _awaited(page, stage, lambda picture: _drawn_share(picture) > 0.02)
+    for box in page.locator("#layers label:not(.absent) input").all():
+        box.tap()
+    _awaited(page, stage, lambda picture: _drawn_share(picture) < 0.1 * _drawn_share(drawn))
+    context.close()
 
 
 def test_every_scene_has_its_picture_for_readers_without_scripts(whole_site, browser):

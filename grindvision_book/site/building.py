@@ -22,8 +22,9 @@ from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
 from grindvision_book.site.pictures import figures_in, light_copies, lightened, tables_in
+from grindvision_book.site.playbacks import Playback
 from grindvision_book.site.reference import write_reference
-from grindvision_book.site.scenes import SCENES, Scene, scene_link, scenes_page, write_scene
+from grindvision_book.site.scenes import FIRST_SCENE, SCENES, Scene, scene_link, scene_markdown, scenes_page
 
 SOURCES = Path(__file__).parents[1] / "site_sources"
 
@@ -64,7 +65,7 @@ def build_site(
     figures: Path,
     notebooks: Path = NOTEBOOKS,
     site: Path = SITE,
-    scenes: Sequence[Scene] = SCENES,
+    scenes: Sequence[Scene | Playback] = SCENES,
     reference: bool = True,
 ) -> Path:
     """Build the pages and return the path of the first one; pages whose sources have not changed stay as they are.
@@ -90,7 +91,7 @@ def build_site(
     shutil.rmtree(extra, ignore_errors=True)
     light = _gather(sources, build / "executed", figures, notebooks, scenes)
     for scene in scenes:
-        page = write_scene(scene, sources / "scenes")
+        page = scene.write(sources / "scenes")
         (extra / "scenes").mkdir(parents=True, exist_ok=True)
         shutil.move(page, extra / "scenes" / page.name)
     if reference:
@@ -168,7 +169,9 @@ def _read_record(record: Path) -> object:
         return None
 
 
-def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene]) -> dict[str, str]:
+def _gather(
+    sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene | Playback]
+) -> dict[str, str]:
     """Lay out the sources like the checkout, so that every relative link means the same in both.
 
     Returns the light copies of the pictures, as ``light_copies`` does.
@@ -186,7 +189,10 @@ def _gather(sources: Path, executed: Path, figures: Path, notebooks: Path, scene
         page.write_text(f"---\norphan: true\n---\n# Table {table.name}\n\n{page.read_text(encoding='utf-8')}", "utf-8")
 
     (sources / "notebooks").mkdir()
-    links = {figure: scene_link(scene, "../") for scene in scenes for figure in scene.figures}
+    links: dict[str, str] = {}
+    for scene in scenes:
+        for figure in scene.figures:
+            links[figure] = links.get(figure, "") + scene_link(scene, "../")
     titles: dict[str, str] = {}
     for chapter in sorted(notebooks.glob("[0-9][0-9]_*.ipynb")):
         number, copy = chapter.name[:2], executed / chapter.name
@@ -242,6 +248,8 @@ def _write_index(sources: Path, light: dict[str, str]) -> None:
     chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision_book/site_sources/", "](")
     readme = re.sub(r"\]\(notebooks/(exercises|solutions)\)", "](exercises.md)", readme)  # folders are no pages
+    if (sources / "scenes" / f"{FIRST_SCENE.name}.png").exists():
+        readme = readme.replace("\n## ", f"\n{scene_markdown(FIRST_SCENE, '')}\n## ", 1)
     groups = []
     for caption, names in _CONTENTS.items():
         pages = [chapters.get(name, name) for name in names]

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,8 @@ from grindvision.vision import TraceWeldOptions, detect, trace_weld
 from grindvision_book.machinery import frames
 from grindvision_book.machinery.session import COLOURS
 from grindvision_book.site.pictures import Figure
+from grindvision_book.site.pipelines import PLAYBACKS, laid_flat
+from grindvision_book.site.playbacks import Playback
 
 if TYPE_CHECKING:
     import pyvista
@@ -43,59 +45,67 @@ class Scene:
     caption: str
     figures: tuple[str, ...]
     draws: Callable[[pyvista.Plotter, int], None]
+    invitation: ClassVar[str] = "Turn it in 3D"
+
+    def write(self, folder: Path, most_points: int = 6000) -> Path:
+        """Write ``name.html`` and the picture ``name.png`` into a folder, and return the first.
+
+        The viewer's own address of an icon on the web is taken out: the page loads nothing from elsewhere.
+
+        Raises:
+            FileError: the folder cannot be written to.
+        """
+        import pyvista as pv
+        from vtkmodules.vtkCommonCore import vtkLogger
+
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+        plotter = pv.Plotter(off_screen=True, window_size=[1200, 700])
+        plotter.background_color = "white"
+        self.draws(plotter, most_points)
+        with write_whole(folder / f"{self.name}.png") as path:
+            plotter.screenshot(path)
+        page = _viewer_page(plotter)
+        plotter.close()
+        page = page.replace("https://kitware.github.io/vtk-js/icon/favicon-${t}x${t}.png", "data:,")
+        page = page.replace("<title>VTK.js | Example - OfflineLocalView</title>", f"<title>{self.title}</title>")
+        target = folder / f"{self.name}.html"
+        with write_whole(target) as path:
+            path.write_text(page, encoding="utf-8")
+        return target
 
 
-def write_scene(scene: Scene, folder: Path, most_points: int = 6000) -> Path:
-    """Write ``name.html`` and the picture ``name.png`` into a folder, and return the first.
-
-    The viewer's own address of an icon on the web is taken out: the page loads nothing from elsewhere.
-
-    Raises:
-        FileError: the folder cannot be written to.
-    """
-    import pyvista as pv
-    from vtkmodules.vtkCommonCore import vtkLogger
-
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    plotter = pv.Plotter(off_screen=True, window_size=[1200, 700])
-    plotter.background_color = "white"
-    scene.draws(plotter, most_points)
-    with write_whole(folder / f"{scene.name}.png") as path:
-        plotter.screenshot(path)
-    page = _viewer_page(plotter)
-    plotter.close()
-    page = page.replace("https://kitware.github.io/vtk-js/icon/favicon-${t}x${t}.png", "data:,")
-    page = page.replace("<title>VTK.js | Example - OfflineLocalView</title>", f"<title>{scene.title}</title>")
-    target = folder / f"{scene.name}.html"
-    with write_whole(target) as path:
-        path.write_text(page, encoding="utf-8")
-    return target
-
-
-def scene_link(scene: Scene, root: str) -> str:
+def scene_link(scene: Scene | Playback, root: str) -> str:
     """HTML that opens a scene in place (a script of the book does it) or, without scripts, in a page of its own.
 
     ``root`` leads from the page to the first folder of the site.
     """
     title = html.escape(scene.title)
-    address = f"{root}scenes/{scene.name}.html"
-    return f'<p><a class="scene" href="{address}" data-title="{title}">Turn it in 3D: {title}</a></p>\n'
+    address, kind = f"{root}scenes/{scene.name}.html", type(scene).__name__.lower()
+    return (
+        f'<p><a class="scene" href="{address}" data-title="{title}" data-kind="{kind}">'
+        f"{scene.invitation}: {title}</a></p>\n"
+    )
 
 
-def scenes_page(scenes: Sequence[Scene], chapters: Mapping[str, str], figures: Mapping[str, Figure]) -> str:
+def scene_markdown(scene: Scene | Playback, root: str) -> str:
+    """The picture of a scene with its caption, and the link that opens it."""
+    picture = f"```{{figure}} {root}scenes/{scene.name}.png\n:alt: {scene.caption}\n\n{scene.caption}\n```\n"
+    return f"{picture}\n{scene_link(scene, root)}"
+
+
+def scenes_page(scenes: Sequence[Scene | Playback], chapters: Mapping[str, str], figures: Mapping[str, Figure]) -> str:
     """Markdown of the page with all scenes, each under its picture; ``chapters``: two digits -> Markdown link."""
     parts = [
         "# In 3D\n",
         "Each picture below becomes a scene to turn (drag), shift (drag with Shift) and zoom (wheel) when it is asked "
-        "for. A scene weighs about 2 MB and brings its own viewer, so it works without a network. Without scripts the "
-        "picture stays.\n",
+        "for; the first two play the papers' pipelines step by step. A scene weighs about 2 MB and "
+        "brings its own viewer, so it works without a network. Without scripts the picture stays.\n",
     ]
     for scene in scenes:
         shown_in = sorted({figures[name].chapter for name in scene.figures if name in figures} & set(chapters))
         parts += [
             f"## {scene.title}\n",
-            f"```{{figure}} scenes/{scene.name}.png\n:alt: {scene.caption}\n\n{scene.caption}\n```\n",
-            scene_link(scene, ""),
+            scene_markdown(scene, ""),
             "Shown in " + ", ".join(chapters[number] for number in shown_in) + ".\n" if shown_in else "",
         ]
     return "\n".join(parts)
@@ -108,7 +118,7 @@ def draw_registration(plotter: pyvista.Plotter, most_points: int) -> None:
     found = detect(sample, test)
     T_sample_test = found.T_sample_test
     moved = geometry.move_points(T_sample_test, test)
-    level = _laid_flat(sample)
+    level = laid_flat(sample)
     width = np.ptp(geometry.move_points(level, sample)[:, 0]) + 60.0
 
     def place(points: ArrayLike, column: int) -> Floats:
@@ -173,7 +183,8 @@ def draw_welds(plotter: pyvista.Plotter, most_points: int) -> None:
     _look(plotter, (165.0, -140.0, 0.0), (0.0, -0.7, 1.0), 480.0, up=(0.0, 1.0, 0.0))
 
 
-SCENES = (
+SCENES: tuple[Scene | Playback, ...] = (
+    *PLAYBACKS,
     Scene(
         "registration",
         "Two scans, registered, and their difference",
@@ -201,6 +212,9 @@ SCENES = (
         draw_welds,
     ),
 )
+
+#: What the front page shows.
+FIRST_SCENE = PLAYBACKS[0]
 
 
 def _viewer_page(plotter: pyvista.Plotter) -> str:
@@ -276,13 +290,3 @@ def _facing(direction: ArrayLike, up: ArrayLike) -> Floats:
     right = np.cross(np.asarray(up, dtype=float), out)
     right /= np.linalg.norm(right)
     return np.column_stack([right, np.cross(out, right), out])
-
-
-def _laid_flat(points: Floats) -> Floats:
-    """T_flat_scanner (4, 4): the part's long side along x, its face towards +z."""
-    centre = points.mean(axis=0)
-    axes = np.linalg.svd(points - centre, full_matrices=False)[2]
-    out = axes[2] * -np.sign(axes[2] @ centre)  # towards the scanner, which stands at the origin
-    along = axes[0] * np.sign(axes[0, 0])
-    turn = np.stack([along, np.cross(out, along), out])
-    return geometry.rigid(turn) @ geometry.rigid(None, -centre)

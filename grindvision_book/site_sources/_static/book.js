@@ -43,7 +43,7 @@ function openScenes() {
         return;
       }
       const frame = document.createElement("iframe");
-      frame.className = "scene";
+      frame.className = `scene ${link.dataset.kind}`;
       frame.title = link.dataset.title;
       frame.src = link.href;
       link.after(frame);
