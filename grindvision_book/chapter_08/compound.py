@@ -7,8 +7,10 @@ calibrated cell at the commanded joint angles; truth serves the comparison and t
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,10 +184,8 @@ def compound_paths(
     import pandas as pd
 
     place = workplace()
-    instrument = StructuredLightScanner(serial=int(rng.integers(2**31)))
-    robot = replace(_robot(), scanner=instrument)
-    tracker = misaligned_tracker(rng)
-    calibrated = calibrated_cell(robot, tracker, rng)
+    robot, tracker, calibrated, rng.bit_generator.state = _drawn_cell(pickle.dumps(rng))
+    instrument = robot.scanner
     left_out = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
     scanner = instrument.with_errors(instrument.errors.without(*left_out))
     repeatability = robot.joint_noise_deg if joint_repeatability else 0.0
@@ -263,6 +263,18 @@ def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.
         sphere=table["sphere"].astype(str).to_numpy(),
     )
     return calibrate(measurements, robot.nominal, Options(diagnose=False)).cell
+
+
+@lru_cache(maxsize=8)
+def _drawn_cell(pickled_rng: bytes) -> tuple[GrindingRobot, LaserTracker, ScannerOnArm, Mapping[str, Any]]:
+    """A robot with its scanner, its tracker, what calibration makes of them, and the generator's state afterwards.
+
+    The last few are kept: an error budget asks for one cell once with every setting.
+    """
+    rng = pickle.loads(pickled_rng)
+    robot = replace(_robot(), scanner=StructuredLightScanner(serial=int(rng.integers(2**31))))
+    tracker = misaligned_tracker(rng)
+    return robot, tracker, calibrated_cell(robot, tracker, rng), rng.bit_generator.state
 
 
 @cache

@@ -6,6 +6,8 @@ stands between scan and path: that part is in ``compound``.
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
-from grindvision.cell.grinding_scene import grinding_scene
+from grindvision.cell.grinding_scene import GrindingScene, grinding_scene
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, small_motion, vector_angle
 from grindvision.vision.change.ridge_path import BeadPath
@@ -86,9 +88,7 @@ def found_path(
     Raises:
         DegenerateError: no bead, or none that can be followed.
     """
-    scene = grinding_scene(rng, overlap=overlap, part=_part(bead_height_mm), every=2)
-    sample, test = (voxel_grid(scan.points, voxel_mm).centroids for scan in (scene.sample, scene.test))
-    pair = RegisteredPair.of(sample, test)
+    scene, pair, rng.bit_generator.state = _registered(pickle.dumps(rng), voxel_mm, overlap, bead_height_mm)
     T_sample_test = pair.registration.T_target_source
     spots = scene.test.true_points[:: len(scene.test) // 1000]
     path = pair.at(T_sample_test @ displacement(rng, spots, registration_mm)).bead(points)
@@ -144,6 +144,20 @@ def displacement(rng: np.random.Generator, points_mm: Floats, rms_mm: float) -> 
     shift = twist[:3] + np.cross(twist[3:], points_mm - middle)
     twist *= rms_mm / np.sqrt((shift**2).sum(axis=1).mean())
     return rigid(translation_mm=middle) @ small_motion(twist) @ rigid(translation_mm=-middle)
+
+
+@lru_cache(maxsize=8)
+def _registered(
+    pickled_rng: bytes, voxel_mm: float, overlap: float, bead_height_mm: float
+) -> tuple[GrindingScene, RegisteredPair, Mapping[str, Any]]:
+    """Both scans, filtered and registered, and the generator's state afterwards.
+
+    The last few are kept: levels of what comes after the registration are tried on one pair of scans.
+    """
+    rng = pickle.loads(pickled_rng)
+    scene = grinding_scene(rng, overlap=overlap, part=_part(bead_height_mm), every=2)
+    sample, test = (voxel_grid(scan.points, voxel_mm).centroids for scan in (scene.sample, scene.test))
+    return scene, RegisteredPair.of(sample, test), rng.bit_generator.state
 
 
 @lru_cache(maxsize=4)
