@@ -17,7 +17,7 @@ SAID = "the sum is two"
 
 def build_whole_site(folder: Path) -> Path:
     """Build every page into ``folder/site`` and return that folder."""
-    (folder / "executed").mkdir()
+    (folder / "executed").mkdir(exist_ok=True)
     for chapter in chapters().values():
         notebook = nbformat.read(chapter, as_version=4)
         for cell in notebook.cells:

@@ -48,12 +48,22 @@ def real_data():
 
 @pytest.fixture(scope="session")
 def _site_and_warnings(tmp_path_factory):
+    import fcntl
+
     from tests.built_site import build_whole_site
 
-    complaints = io.StringIO()
-    with contextlib.redirect_stderr(complaints):
-        site = build_whole_site(tmp_path_factory.mktemp("whole_site"))
-    return site, complaints.getvalue()
+    # the workers of one run share what one of them has built
+    root = tmp_path_factory.getbasetemp()
+    folder = (root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / "whole_site"
+    folder.mkdir(exist_ok=True)
+    with open(folder / "lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "said.txt").exists():
+            complaints = io.StringIO()
+            with contextlib.redirect_stderr(complaints):
+                build_whole_site(folder)
+            (folder / "said.txt").write_text(complaints.getvalue(), encoding="utf-8")
+    return folder / "site", (folder / "said.txt").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

@@ -139,7 +139,7 @@ def test_what_agrees_stays_as_committed_to_the_byte(folders):
     write(made, unit(COMMITTED["fig.csv"].decode().replace("100.0", "100.00001")))
     (done,) = publish(made, figures, COMMITTED, aside)
     assert done.action == "kept" and read(figures) == COMMITTED
-    assert told([done]) == ["1 of 1 figures, tables and sets of answers stay as committed"]
+    assert told([done], "the commit") == ["1 of 1 figures, tables and sets of answers agree with the commit"]
 
 
 def test_what_says_something_else_is_replaced_as_a_whole(folders):
@@ -150,7 +150,7 @@ def test_what_says_something_else_is_replaced_as_a_whole(folders):
     old = {**COMMITTED, "fig.md": b"once a table"}
     (done,) = publish(made, figures, old, aside)
     assert done.action == "replaced" and read(figures) == new
-    assert "first 101.0 (committed 100.0)" in told([done])[0]
+    assert "first 101.0 (committed 100.0)" in told([done], "the commit")[0]
 
 
 def test_a_file_that_is_missing_or_of_an_earlier_build_becomes_as_committed_again(folders):

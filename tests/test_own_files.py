@@ -80,7 +80,7 @@ def test_the_table_doubts_a_groove_where_the_command_does():
         assert set(rows) == {"well"}
 
 
-@pytest.mark.full
+@pytest.mark.book
 def test_the_chapter_runs_on_files_of_ones_own(tmp_path):
     import papermill
 

@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
 def _build(options: argparse.Namespace) -> int:
     from grindvision_book.machinery.answers import scoreboard, summary
     from grindvision_book.machinery.chapters import chapters, chosen
+    from grindvision_book.machinery.committed import committed_figures
     from grindvision_book.machinery.evidence import count_by_class
     from grindvision_book.machinery.places import BUILD, FAST_FIGURES, FIGURES, ROOT
     from grindvision_book.machinery.progress import Progress
@@ -50,7 +51,8 @@ def _build(options: argparse.Namespace) -> int:
             options.only, fast=options.fast, watcher=progress, redraw=options.redraw, force=options.force
         )
     if not options.fast:
-        say("\n".join(["", *told([file for outcome in outcomes for file in outcome.published])]))
+        published = [file for outcome in outcomes for file in outcome.published]
+        say("\n".join(["", *told(published, committed_figures().origin)]))
 
     table = scoreboard(figures)
     shown = table[["item", "quantity", "unit", "paper", "rebuilt", "verdict"]]

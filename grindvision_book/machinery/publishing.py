@@ -86,11 +86,11 @@ def _write(
     return tuple(moved)
 
 
-def told(publications: Sequence[Publication]) -> list[str]:
-    """Lines for the terminal: what changed, and how many stayed."""
+def told(publications: Sequence[Publication], origin: str) -> list[str]:
+    """Lines for the terminal: what changed, how many stayed, and where what they were compared with comes from."""
     kept = sum(publication.action == "kept" for publication in publications)
     lines = [str(publication) for publication in publications if publication.action != "kept"]
-    return [*lines, f"{kept} of {len(publications)} figures, tables and sets of answers stay as committed"]
+    return [*lines, f"{kept} of {len(publications)} figures, tables and sets of answers agree with {origin}"]
 
 
 def _files(folder: Path) -> dict[str, bytes]:
