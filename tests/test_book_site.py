@@ -4,14 +4,17 @@ import re
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pandas as pd
 import pytest
 import yaml
 
 from grindvision_book.machinery.answers import scoreboard
 from grindvision_book.machinery.chapters import chapters
+from grindvision_book.machinery.evidence import holds
 from grindvision_book.machinery.places import FIGURES, ROOT
 from grindvision_book.site.chapter_pages import scoreboard_html
+from grindvision_book.site.evidence_page import strip
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
 from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
 from grindvision_book.site.scenes import SCENES
@@ -112,6 +115,19 @@ def test_a_verdict_is_told_in_words():
         and "own bound: 1 outside its bound" in text
         and "nan" not in text
     )
+
+
+@pytest.mark.parametrize("claim, paper", [("equal", 2.0), ("at most", 2.0), ("at least", 2.0), ("at most", np.nan)])
+@pytest.mark.parametrize("rebuilt", [1.0, 1.95, 2.05, 9.0])
+def test_a_strip_has_its_dot_in_the_band_where_the_bound_is_kept(claim, paper, rebuilt):
+    row = {"paper": paper, "rebuilt": rebuilt, "tolerance": 0.1, "claim": claim, "evidence": "ours on a twin"}
+    drawing = strip(next(pd.DataFrame([row]).itertuples(index=False)))
+    kept = holds(rebuilt, paper, 0.1, claim)
+    assert ("class='kept'" in drawing) == kept and ("class='missed'" in drawing) != kept
+    assert ("class='printed'" in drawing) == (paper == paper)
+    if kept and (dot := re.search(r"circle cx='([\d.]+)'", drawing)):
+        left, width = re.search(r"rect x='([\d.]+)' width='([\d.]+)'", drawing).groups()
+        assert float(left) <= float(dot[1]) <= float(left) + float(width)
 
 
 def test_the_gallery_shows_every_figure_and_table_with_its_files(whole_site, pages):

@@ -18,6 +18,7 @@ from grindvision_book.machinery.answers import write_scoreboard
 from grindvision_book.machinery.kept import installed
 from grindvision_book.machinery.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
+from grindvision_book.site.evidence_page import evidence_page
 from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
@@ -46,7 +47,7 @@ _RACES = (
 
 #: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
 _CONTENTS = {
-    "The book": ("00", "figures/scoreboard", "findings", "gallery", "scenes"),
+    "The book": ("00", "evidence", "figures/scoreboard", "findings", "gallery", "scenes"),
     "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
     "peng2020: welding": ("10", "11"),
     "Your own scans and arm": ("12", "examples", "when_it_does_not_work"),
@@ -215,6 +216,7 @@ def _gather(
     pages["gallery.md"] = gallery_page(
         sources / "figures", drawn, tables, {**titles, "races": "[Races](benchmarks/README.md)"}
     )
+    pages["evidence.md"] = evidence_page(board)
     pages["examples.md"] = examples_page()
     if exercises:
         pages["exercises.md"] = _exercises_page([path.stem for path in exercises])

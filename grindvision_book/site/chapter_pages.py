@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from grindvision.paper import EVIDENCE
-from grindvision_book.machinery.answers import bound_text
 from grindvision_book.machinery.evidence import VERDICTS
+from grindvision_book.site.evidence_page import evidence_table
 from grindvision_book.site.pictures import Figure, lightened
 
 if TYPE_CHECKING:
@@ -53,19 +52,7 @@ def readable(
 
 
 def scoreboard_html(rows: pd.DataFrame) -> str:
-    """Rows of the scoreboard as a table that unfolds, each with its verdict in words and colour."""
-    head = "".join(
-        f"<th scope='col'>{name}</th>"
-        for name in ("verdict", "evidence", "item", "quantity", "paper", "rebuilt", "bound", "trivial answer passes")
-    )
-    lines = []
-    for row, trivial in zip(rows.itertuples(index=False), rows["trivial answer passes"], strict=True):
-        unit = "" if row.unit == "1" else f" {html.escape(str(row.unit))}"
-        cells = [html.escape(str(text), quote=False) for text in (row.evidence, row.item, row.quantity)]
-        cells += [f"{_number(value)}{unit if value == value else ''}" for value in (row.paper, row.rebuilt)]
-        cells += [html.escape(bound_text(row)), trivial]
-        verdict = f"<td><span class='verdict {row.verdict.replace(' ', '-')}'>{row.verdict}</span></td>"
-        lines.append("<tr>" + verdict + "".join(f"<td>{text}</td>" for text in cells) + "</tr>")
+    """Rows of the scoreboard as a table that unfolds, each with its verdict in words and colour and its strip."""
     summary = "; ".join(
         f"{name}: " + ", ".join(f"{count} {word}" for word in VERDICTS if (count := (part["verdict"] == word).sum()))
         for name in EVIDENCE
@@ -74,8 +61,7 @@ def scoreboard_html(rows: pd.DataFrame) -> str:
     fold = "open" if len(rows) <= FEW_ROWS else ""
     return (
         f"<details class='scoreboard' {fold}><summary>What the numbers of this chapter are worth. {summary}</summary>\n"
-        f"<div class='wide'><table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>\n"
-        "</details>"
+        f"<div class='wide'>{evidence_table(rows)}</div>\n</details>"
     )
 
 
@@ -101,7 +87,3 @@ def _captioned(outputs: list[Any], figures: Mapping[str, Figure], scenes: Mappin
         elif not caption or data.get("text/markdown") != caption:
             shown.append(output)
     return shown
-
-
-def _number(value: float) -> str:
-    return "" if value != value else f"{value:.4g}"

@@ -77,7 +77,7 @@ function stackWideTables() {
     for (const row of table.tBodies[0]?.rows ?? []) {
       [...row.cells].forEach((cell, i) => (cell.dataset.heading = heads[i] ?? ""));
     }
-    return heads.length > 2;
+    return heads.length > 2 && !table.matches(".evidence");
   });
   const arrange = () => {
     for (const table of tables) {
@@ -89,6 +89,26 @@ function stackWideTables() {
   arrange();
   window.addEventListener("resize", arrange);
   for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", arrange);
+}
+
+// The evidence's rows by class, chapter and verdict; the choice stands in the address, so that it can be sent to someone.
+function filterEvidence() {
+  const choices = [...document.querySelectorAll("select[data-filter]")];
+  if (!choices.length) return;
+  const asked = new URLSearchParams(location.hash.slice(1));
+  for (const choice of choices) choice.value = asked.get(choice.dataset.filter) ?? "";
+  const rows = [...document.querySelectorAll("table.evidence tbody tr")];
+  const show = () => {
+    for (const row of rows) {
+      row.hidden = choices.some((choice) => choice.value && row.dataset[choice.dataset.filter] !== choice.value);
+    }
+    const shown = rows.filter((row) => !row.hidden).length;
+    document.querySelector(".filters .shown").textContent = `${shown} of ${rows.length} numbers`;
+    const set = choices.filter((choice) => choice.value).map((choice) => [choice.dataset.filter, choice.value]);
+    history.replaceState(null, "", set.length ? `#${new URLSearchParams(set)}` : location.pathname);
+  };
+  for (const choice of choices) choice.addEventListener("change", show);
+  show();
 }
 
 // A formula that is too wide is set smaller, down to six tenths; below that it scrolls.
@@ -109,5 +129,6 @@ document.addEventListener("DOMContentLoaded", () => {
   openScenes();
   foldCode();
   stackWideTables();
+  filterEvidence();
 });
 window.addEventListener("load", fitFormulas);
