@@ -50,3 +50,13 @@ def sphere_view(centre, radius, rng, n=1500, noise_mm=0.1):
     return np.vstack([centre + radius * rays, table, box, strays]) + noise_mm * rng.normal(
         size=(len(rays) + 5 * n + 60, 3)
     )
+
+
+def part_view(T_part_camera, rng, n=4000, flat=False, noise_mm=0.02):
+    """Points of a bumpy plate, or a flat one, 120 x 80 mm, in the frame of a camera at T_part_camera."""
+    x, y = rng.uniform(-60, 60, n), rng.uniform(-40, 40, n)
+    z = np.zeros(n)
+    for a, b, height, width in ((25, -10, 12, 90), (-30, 15, 9, 60), (-10, -20, 7, 40), (40, 25, 8, 50)):
+        z += (0.0 if flat else height) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / width)
+    points = np.column_stack([x, y, z + noise_mm * rng.normal(size=n)])
+    return move_points(inverse(T_part_camera), points)

@@ -8,15 +8,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from grindvision.calibration.hand_eye import HandEyeOptions, free_directions, hand_eye
-from grindvision.calibration.hand_eye_checks import outliers, refuse_better_reading, refuse_implausible
+from grindvision.calibration.hand_eye_checks import (
+    outliers,
+    refuse_better_reading,
+    refuse_implausible,
+    refuse_still_views,
+)
 from grindvision.calibration.hand_eye_starts import by_dual_quaternions, by_rotation_vectors, pair_motions
 from grindvision.calibration.pose_conventions import MAKERS, convention, poses_from, read_pose_rows
 from grindvision.calibration.sphere_search import cut_out_sphere
 from grindvision.cli import main
+from grindvision.cli.hand_eye_targets import pairs_of_views
 from grindvision.clouds import write_ply
 from grindvision.errors import DegenerateError, FileError, InputError
 from grindvision.geometry import angle_between, inverse, rigid
-from tests.hand_eye_scene import TARGET, X, looking_poses, seen_points, seen_poses, sphere_view
+from tests.hand_eye_scene import TARGET, X, looking_poses, part_view, seen_points, seen_poses, sphere_view
 
 
 def scene(seed=0, n=10, **errors):
@@ -227,6 +233,45 @@ def test_the_command_writes_its_set_and_refuses_without_writing(tmp_path, capsys
     }  # fmt: skip
 
 
+def folder_of_parts(folder, mounted="on-arm", n=5, **kind):
+    rng = np.random.default_rng(13)
+    poses = looking_poses(rng, n)
+    for row, pose in enumerate(poses):
+        write_ply(folder / f"v{row}.ply", part_view(rigid(None, -TARGET) @ pose @ X, rng, **kind))
+    np.savetxt(folder / "poses.txt", rows_of(poses if mounted == "on-arm" else inverse(poses)), fmt="%.9f")
+    views = [str(folder / f"v{row}.ply") for row in range(n)]
+    return [str(folder / "poses.txt"), *views, "--target", "part", "--rotation", "fanuc", "--mounted", mounted]
+
+
+@pytest.mark.parametrize(("mounted", "parent"), [("on-arm", "flange"), ("fixed", "base")])
+def test_the_part_itself_tells_where_the_camera_is(tmp_path, mounted, parent):
+    words = folder_of_parts(tmp_path, mounted)
+    assert main(["hand-eye", *words, "-o", str(tmp_path / "camera")]) == 0
+    found = np.array(json.loads((tmp_path / "camera" / "hand_eye.json").read_text())[f"T_{parent}_camera"])
+    assert np.linalg.norm(found[:3, 3] - X[:3, 3]) < 0.5
+    assert np.degrees(angle_between(found, X)) < 0.1
+
+
+def test_a_flat_part_is_refused_by_the_command(tmp_path, capsys):
+    assert main(["hand-eye", *folder_of_parts(tmp_path, flat=True), "-o", str(tmp_path / "camera")]) == 2
+    assert "free motion: a translation along" in capsys.readouterr().err
+    assert not (tmp_path / "camera").exists()
+
+
+def test_views_of_what_rests_with_the_camera_are_refused():
+    poses = looking_poses(np.random.default_rng(14))
+    with pytest.raises(InputError, match="background that rests with the camera"):
+        refuse_still_views(poses, np.tile(rigid(None, [0, 0, 400]), (len(poses), 1, 1)))
+
+
+def test_of_many_views_only_those_turned_little_against_each_other_are_registered():
+    poses = looking_poses(np.random.default_rng(15), 30)
+    pairs = pairs_of_views(30, poses)
+    assert len(pairs) < 200 < 30 * 29 / 2
+    assert all((k, k + 1) in pairs for k in range(29))
+    assert len(pairs_of_views(9, None)) == 36
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [("", "no rows"), ("1 2 3\n", "3 numbers a line"), ("1 2 3 4 5 6\n1 2 3 4 5\n", "line 2 has 5"),
@@ -236,3 +281,20 @@ def test_damaged_tables_are_refused(tmp_path, text, said):
     (tmp_path / "p.txt").write_text(text)
     with pytest.raises(FileError, match=said):
         read_pose_rows(tmp_path / "p.txt")
+
+
+def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refused(real_data, tmp_path, capsys):
+    folder = real_data("reghec")
+    said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first", "--target", "part"]
+    codes = {}
+    for name in ("Duck", "Plane"):
+        views = [str(folder / name / f"view{k}d.pcd") for k in range(1, 10)]
+        words = [str(folder / name / "RobotPoses.dat"), *views, *said, "-o", str(tmp_path / name)]
+        codes[name] = main(["hand-eye", *words])
+    told = capsys.readouterr().err
+    assert codes == {"Duck": 0, "Plane": 2}
+    assert told.count("translation along") == 2
+    report = json.loads((tmp_path / "Duck" / "report.json").read_text())
+    assert report["rms_mm"] < 1.4
+    assert report["pairs_disagreement_mm"] < 0.05
+    assert list(report["pairs_refused"]) == ["3 8"]

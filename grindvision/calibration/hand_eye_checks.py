@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from grindvision.calibration.hand_eye import HandEye, carriers, motion_spread_of, quick_rms_mm
 from grindvision.calibration.pose_conventions import PoseConvention, makers_of, other_conventions, poses_from
@@ -17,6 +18,12 @@ Floats = NDArray[np.float64]
 
 #: A fit that leaves less (mm rms) gives no reason to look for mistakes; one that leaves more is no arm's error.
 GOOD_MM, IMPLAUSIBLE_MM = 2.0, 5.0
+
+#: A fit that leaves more rotation (deg rms) is no arm's error.
+IMPLAUSIBLE_DEG = 3.0
+
+#: A target that turns by less than this fraction of the arm's turns rests with the camera.
+STILL = 0.2
 
 #: Another reading of the data is named where it leaves so many times less.
 MUCH_BETTER = 3.0
@@ -48,6 +55,29 @@ def check_pose_rows(poses: Floats) -> list[str]:
                 f"poses {i + 1} and {j + 1} are the same: a pose copied twice, or taken twice? It counts as one"
             )
     return told[:3]
+
+
+def refuse_still_views(poses: Floats, target: Floats) -> None:
+    """Refuse poses of the target (N, 4, 4) that hardly turn while the arm does: A X = X B turns both by the same angle.
+
+    Raises:
+        InputError: with both angles.
+    """
+    if target.ndim != 3:
+        return
+    arm, seen = (float(np.degrees(np.median(turns_between(one)))) for one in (poses, target))
+    if seen < STILL * arm:
+        raise InputError(
+            f"between two poses the arm turns by {arm:.0f} deg in the median, what the camera sees by {seen:.1f} deg:"
+            " do the clouds show a background that rests with the camera? Crop it away; or are the clouds copies?"
+        )
+
+
+def turns_between(poses: Floats) -> Floats:
+    """Angles (K,) in rad by which every pair of poses (N, 4, 4) is turned against each other."""
+    first, second = np.triu_indices(len(poses), 1)
+    relative = poses[first, :3, :3].swapaxes(1, 2) @ poses[second, :3, :3]
+    return Rotation.from_matrix(relative).magnitude()
 
 
 def refuse_better_reading(
@@ -103,11 +133,14 @@ def refuse_implausible(found: HandEye) -> None:
         InputError: with the size, and what may be wrong.
     """
     size = float(np.sqrt(np.average((found.residuals_mm**2).sum(axis=1), weights=found.weights + 1e-12)))
-    if size > IMPLAUSIBLE_MM or (found.weights < 0.1).mean() > 0.25:
+    weights = found.weights + 1e-12
+    turn = float(np.degrees(np.sqrt(np.average((found.residuals_rad**2).sum(axis=1), weights=weights))))
+    if size > IMPLAUSIBLE_MM or turn > IMPLAUSIBLE_DEG or (found.weights < 0.1).mean() > 0.25:
+        turned = f" and {turn:.2g} deg" if np.isfinite(turn) else ""
         raise InputError(
-            f"poses and clouds do not belong together: the target's places differ by {found.rms_mm:.3g} mm rms, and no"
-            " common convention or order of the rows fits better; did the target rest, was the arm still, is the pose"
-            " that of the flange (or of one tool) throughout?"
+            f"poses and clouds do not belong together: the target's places differ by {found.rms_mm:.3g} mm{turned} rms,"
+            " and no common convention or order of the rows fits better; did the target rest, was the arm still, is the"
+            " pose that of the flange (or of one tool) throughout?"
         )
 
 

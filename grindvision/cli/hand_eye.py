@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from grindvision.cli.hand_eye_targets import read_target, see_target
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
@@ -24,7 +26,9 @@ fanuc, yaskawa, staubli, doosan) or as rotation-vector, quaternion-wxyz, quatern
 about axes that move along, zyx about fixed ones. Left out, the command says what fits and asks.
 
 The target rests while the arm carries the camera (--mounted on-arm), or sits on the flange in front of a fixed camera
-(--mounted fixed). Turn the arm by 20 deg and more about two axes, and let the sphere appear all over the view.
+(--mounted fixed: crop away what does not move with the flange). Turn the arm by 20 deg and more about two axes, and let
+a sphere appear all over the view. A part (--target part) needs no measure and no mark: its views are registered to each
+other. Flat, round and symmetric parts are refused, with the motion that they leave free.
 
 results in DIR:
   hand_eye.json    T_flange_camera (T_base_camera when fixed), 4x4, mm, T_a_b @ p_b = p_a; covariance, convention
@@ -36,6 +40,7 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 
 example:
   grindvision hand-eye poses.txt view*.ply --rotation ur --pose-unit m --target sphere:38.1 -o camera
+  grindvision hand-eye poses.txt view*.ply --rotation kuka --target part -o camera
 """
 
 
@@ -46,7 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument("poses", metavar="POSES", help="table of controller poses, a row for every cloud")
     data.add_argument("clouds", nargs="+", metavar="CLOUD", help=f"clouds in the camera's frame ({CLOUD_FORMATS})")
     add_unit_argument(data)
-    data.add_argument("--target", required=True, metavar="sphere:DIAMETER_MM", help="what rests: a sphere, by diameter")
+    data.add_argument(
+        "--target",
+        required=True,
+        metavar="sphere:DIAMETER_MM|part",
+        help="what rests: a sphere, by its diameter, or the part itself, any shape that leaves no motion free",
+    )
     data.add_argument(
         "--mounted", choices=("on-arm", "fixed"), default="on-arm", help="where the camera is (default on-arm)"
     )
@@ -62,13 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run it."""
-    diameter = _diameter(options.target)
-    from grindvision.calibration.hand_eye import FEWEST_POINTS, HandEyeOptions, free_directions, hand_eye
+    kind, size = read_target(options.target)
+    from grindvision.calibration.hand_eye import FEWEST_POINTS, FEWEST_POSES, HandEyeOptions, free_directions, hand_eye
     from grindvision.calibration.hand_eye_checks import (
         check_pose_rows,
         outliers,
         refuse_better_reading,
         refuse_implausible,
+        refuse_still_views,
     )
     from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
     from grindvision.cli.pictures import drawing
@@ -78,54 +89,46 @@ def run(options: argparse.Namespace) -> int:
     if options.rotation is not None:
         flags = {"rotation_first": options.rotation_first, "inverted": options.inverse_poses}
         stated = convention(options.rotation, options.angles, options.pose_unit, **flags)
-    _check_counts(len(rows), len(options.clouds), FEWEST_POINTS)
+    _check_counts(len(rows), len(options.clouds), FEWEST_POINTS if kind == "sphere" else FEWEST_POSES, kind)
     draw = drawing("hand_eye_picture")
     with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
         poses = None if stated is None else poses_from(rows, stated, options.poses)
         with work.stage("read"):
             clouds = _read(options)
         with work.stage("target"):
-            centres, sigmas = _sphere_centres(clouds, options, diameter)
+            seen = see_target(kind, size, clouds, options.clouds, poses, options.seed)
+        rows, names = rows[seen.rows], [options.clouds[row] for row in seen.rows]
         if stated is None or poses is None:
-            raise InputError(_suggestion(rows, centres, options))
+            raise InputError(_suggestion(rows, seen.target, options))
+        poses = poses[seen.rows]
         with work.stage("solve"):
-            refuse_better_reading(rows, stated, centres, options.mounted, [Path(name).name for name in options.clouds])
-            found = hand_eye(poses, centres, HandEyeOptions(options.mounted))
+            refuse_still_views(poses, seen.target)
+            refuse_better_reading(rows, stated, seen.target, options.mounted, [Path(name).name for name in names])
+            found = hand_eye(poses, seen.target, HandEyeOptions(options.mounted))
             refuse_implausible(found)
-        for text in [*check_pose_rows(poses), *outliers(found, options.clouds), *free_directions(found)]:
+        for text in [*check_pose_rows(poses), *outliers(found, names), *free_directions(found)]:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
-            _write(found, stated, options, work.place)
-            draw(found, options.clouds, work.warnings, work.place / "report.png")
+            _write(found, stated, names, work.place)
+            draw(found, names, work.warnings, work.place / "report.png")
         results = {
             "rms_mm": found.rms_mm,
             "left_out_mm": found.left_out_mm,
-            "camera_sigma_of_centre_mm": sigmas,
+            **seen.results,
             "motions_deg": found.spread_deg,
             "sigma_mm": found.sigma_mm,
             "sigma_deg": found.sigma_deg,
         }
-        work.report(str(found), results, {"convention": str(stated)}, questions=[_where(found)])
+        work.report(str(found), results, {"convention": str(stated)}, shown=seen.told, questions=[_where(found)])
     return 0
 
 
-def _diameter(target: str) -> float:
-    kind, _, size = target.partition(":")
-    try:
-        diameter = float(size)
-    except ValueError:
-        diameter = 0.0
-    if kind != "sphere" or not 0 < diameter < 1000:
-        raise InputError(f"--target {target}: say sphere:DIAMETER_MM, as in sphere:38.1")
-    return diameter
-
-
-def _check_counts(poses: int, clouds: int, fewest: int) -> None:
+def _check_counts(poses: int, clouds: int, fewest: int, kind: str) -> None:
     if poses != clouds:
         raise InputError(f"{poses} poses and {clouds} clouds; every cloud needs its pose, a row each, in their order")
     if poses < fewest:
         raise InputError(
-            f"{poses} poses; hand-eye from a sphere needs at least {fewest} turned about two axes, 8 or more to find a"
+            f"{poses} poses; hand-eye from a {kind} needs at least {fewest} turned about two axes, 8 or more to find a"
             " wrong one"
         )
 
@@ -138,23 +141,6 @@ def _read(options: argparse.Namespace) -> list[np.ndarray]:
     points = [finite_points(cloud, path) for cloud, path in zip(clouds, options.clouds, strict=True)]
     check_repeated(points, options.clouds)
     return points
-
-
-def _sphere_centres(
-    clouds: list[np.ndarray], options: argparse.Namespace, diameter: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (N, 3) in the camera's frame, and the largest standard deviation (N,) of each, mm."""
-    import numpy as np
-
-    from grindvision.calibration.sphere_search import cut_out_sphere
-
-    streams = np.random.default_rng(options.seed).spawn(len(clouds))
-    fits = [
-        cut_out_sphere(points, diameter, rng, name)
-        for points, rng, name in zip(clouds, streams, options.clouds, strict=True)
-    ]
-    sigmas = np.array([np.sqrt(np.linalg.eigvalsh(fit.centre_covariance)[-1]) for fit in fits])
-    return np.array([fit.centre_mm for fit in fits]), sigmas
 
 
 def _suggestion(rows: np.ndarray, target: np.ndarray, options: argparse.Namespace) -> str:
@@ -171,16 +157,18 @@ def _suggestion(rows: np.ndarray, target: np.ndarray, options: argparse.Namespac
     return f"--rotation is missing: say how the poses are written. Best by the data: {told}"
 
 
-def _write(found: HandEye, stated: PoseConvention, options: argparse.Namespace, place: Path) -> None:
+def _write(found: HandEye, stated: PoseConvention, names: Sequence[str], place: Path) -> None:
     import numpy as np
 
     from grindvision.files import write_json, write_text
 
-    parent, other = ("flange", "base") if options.mounted == "on-arm" else ("base", "flange")
+    parent, other = ("flange", "base") if found.mounted == "on-arm" else ("base", "flange")
+    turns = bool(np.isfinite(found.residuals_rad).all())
     content = {
         f"T_{parent}_camera": found.T_parent_camera,
-        "mounted": options.mounted,
+        "mounted": found.mounted,
         f"target_{other}_mm": found.target[:3, 3],
+        **({f"T_{other}_target": found.target} if turns else {}),
         "covariance": found.covariance,
         "rms_mm": found.rms_mm,
         "convention": str(stated),
@@ -188,7 +176,7 @@ def _write(found: HandEye, stated: PoseConvention, options: argparse.Namespace, 
     write_json(place / "hand_eye.json", content)
     lines = [f"pose,cloud,x_{other}_mm,y_{other}_mm,z_{other}_mm,error_mm,left_out_mm,weight"]
     sizes = np.linalg.norm(found.residuals_mm, axis=1)
-    for row, name in enumerate(options.clouds):
+    for row, name in enumerate(names):
         x, y, z = found.target[:3, 3] + found.residuals_mm[row]
         safe = Path(name).name.replace('"', '""')
         lines.append(

@@ -1,0 +1,231 @@
+"""Many views of one part that rests: every view registered onto others, and one pose for each that all pairs agree on.
+
+Pairs of views are registered as ``scan_registration`` does it, nothing known of the poses. A wrong pair shows in that
+going round three views does not end where it began, and is dropped. The poses of all views then follow from one least
+squares over the pairs, each with the information its surfaces hold: the refinement over all overlapping views at once.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionError, GrindvisionWarning, InputError
+from grindvision.geometry import check_points, move_points, rigid
+from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
+from grindvision.vision.registration.free_motions import motion_names
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.scan_registration import (
+    MIN_POINTS,
+    RegisterOptions,
+    Registration,
+    register,
+    without_strays,
+)
+from grindvision.vision.registration.view_poses import (
+    Pair,
+    Tie,
+    agreed_poses,
+    largest_group,
+    open_loops,
+    poses_along_pairs,
+)
+from grindvision.vision.surface.scan import choose_resolution
+from grindvision.vision.surface.surfels import build_surfels
+
+Floats = NDArray[np.float64]
+
+#: A motion of a view (rms over its extent) is free where it moves the surfaces along their normals by less than this
+#: fraction: a camera's own depth error, a few hundredths of a mm, would else pass for mm of motion.
+LEAST_STIFFNESS = 0.03
+
+#: Going round three views must end nearer than this fraction of the part's extent to where it began.
+CLOSED = 0.03
+
+#: Pairs tried before views that leave all of them open are refused.
+FEWEST_TRIED = 6
+
+
+@by_content
+@dataclass(frozen=True)
+class ViewRegistration:
+    """Poses of views of one part that agree with each other.
+
+    ``T_part_view`` (N, 4, 4), mm: the part's frame stands in the middle of its points, with the axes of view
+    ``reference``; NaN for views that no pair ties to the others. ``pairs`` (target, source) that were used, and
+    ``disagreement_mm`` (K,), by how much each differs from what all say (rms along the normals). ``refused``: why other
+    pairs were not used.
+    """
+
+    T_part_view: Floats
+    reference: int
+    pairs: tuple[Pair, ...]
+    disagreement_mm: Floats
+    refused: dict[Pair, str]
+
+    @property
+    def found(self) -> NDArray[np.int64]:
+        """Views (M,) that have a pose."""
+        return np.flatnonzero(np.isfinite(self.T_part_view[:, 0, 0]))
+
+    def __str__(self) -> str:
+        return (
+            f"{len(self.found)} of {len(self.T_part_view)} views tied by {len(self.pairs)} pairs, which differ by"
+            f" {np.median(self.disagreement_mm):.2g} mm in the median"
+        )
+
+
+@one_blas_thread()
+def register_views(
+    clouds: Sequence[ArrayLike],
+    names: Sequence[str] | None = None,
+    pairs: Iterable[Pair] | None = None,
+    seed: int = 0,
+    finished: Callable[[int, int], None] | None = None,
+) -> ViewRegistration:
+    """Poses of views (M_i, 3) of one part, mm, each in the frame of a camera at its origin.
+
+    Args:
+        clouds: the views.
+        names: of the views in messages.
+        pairs: the pairs (target, source) to register, most alike first; all pairs when left out.
+        seed: of the random draws.
+        finished: is told how many pairs are done, and of how many.
+
+    Returns:
+        A pose for every view that pairs tie to the others, in the part's own frame.
+
+    Raises:
+        InputError: fewer than three views.
+        AmbiguousError: the part leaves a motion free (flat, round, symmetric); the message names it.
+        DegenerateError: too few points in a view; the views cannot be tied together.
+
+    Warns:
+        GrindvisionWarning: points that lie alone, and views that were left out.
+    """
+    names = [f"view {k + 1}" for k in range(len(clouds))] if names is None else list(names)
+    if len(clouds) < 3:
+        raise InputError(f"{len(clouds)} views; give three at least")
+    views = [without_strays(check_points(one, name, MIN_POINTS), name) for one, name in zip(clouds, names, strict=True)]
+    _refuse_free(views, names)
+    wanted = list(combinations(range(len(views)), 2) if pairs is None else pairs)
+    ties, refused = _registered_pairs(views, names, wanted, seed, finished)
+    extent = float(np.median([_extent(view) for view in views]))
+    for pair in open_loops(ties, CLOSED * extent, extent, [view.mean(axis=0) for view in views]):
+        refused[pair] = "does not agree with the other pairs"
+        del ties[pair]
+    chosen = largest_group(ties, len(views))
+    if len(chosen) < 3:
+        reasons = "; ".join(dict.fromkeys(refused.values())) or "no more pairs were given"
+        raise DegenerateError(
+            f"the views cannot be tied to each other ({len(ties)} of {len(wanted)} pairs agree): {reasons[:300]}"
+        )
+    ties = {pair: tie for pair, tie in ties.items() if pair[0] in chosen}
+    for row in sorted(set(range(len(views))) - set(chosen)):
+        text = f"{names[row]} cannot be tied to the other views and is left out"
+        warnings.warn(text, GrindvisionWarning, stacklevel=2)
+    reference = max(chosen, key=lambda row: (sum(row in pair for pair in ties), -row))
+    poses = poses_along_pairs(ties, reference, len(views))
+    middle = np.mean([move_points(poses[row], views[row]).mean(axis=0) for row in chosen], axis=0)
+    poses, left = agreed_poses(ties, rigid(None, -middle) @ poses, reference)
+    return ViewRegistration(poses, reference, tuple(ties), left, refused)
+
+
+def _registered_pairs(
+    views: Sequence[Floats],
+    names: Sequence[str],
+    wanted: Sequence[Pair],
+    seed: int,
+    finished: Callable[[int, int], None] | None,
+) -> tuple[dict[Pair, Tie], dict[Pair, str]]:
+    """Every pair that could be registered, and why the others could not.
+
+    Raises:
+        AmbiguousError: more pairs leave a motion free than do not.
+    """
+    ties: dict[Pair, Tie] = {}
+    refused: dict[Pair, str] = {}
+    free: list[str] = []
+    for done, (target, source) in enumerate(wanted, start=1):
+        try:
+            found = _registered(views[source], views[target], seed)
+            ties[target, source] = _tie(found.fine, views[source])
+        except GrindvisionError as refusal:
+            refused[target, source] = str(refusal)
+            if isinstance(refusal, AmbiguousError):
+                free.append(f"{names[source]} on {names[target]}: {refusal}")
+        if finished is not None:
+            finished(done, len(wanted))
+        if done >= FEWEST_TRIED and len(free) == done:
+            break
+    if len(free) > len(ties):
+        tried = len(ties) + len(refused)
+        raise AmbiguousError(f"the part leaves its pose open in {len(free)} of {tried} pairs tried; {free[0]}")
+    return ties, refused
+
+
+def _registered(source: Floats, target: Floats, seed: int) -> Registration:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GrindvisionWarning)  # strays are told once a view, not once a pair
+        return register(source, target, RegisterOptions(seed, np.zeros(3), np.zeros(3)))
+
+
+def _extent(points: Floats) -> float:
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _tie(fine: FineRegistration, source: Floats) -> Tie:
+    """What a registration says about its pair.
+
+    Raises:
+        AmbiguousError: the surfaces that meet hardly resist a motion; names it.
+    """
+    information = fine.information / np.trace(fine.information[:3, :3])
+    if text := _free_motions(information, _extent(source), fine.centre_mm):
+        raise AmbiguousError(text)
+    return Tie(fine.T_target_source, fine.centre_mm, information)
+
+
+def _refuse_free(views: Sequence[Floats], names: Sequence[str]) -> None:
+    """Refuse a part whose surface leaves a motion free in most of its views: planes, spheres, cylinders.
+
+    Raises:
+        AmbiguousError: names the motions in one view's frame.
+    """
+    told = [_free_motions(*_resistance(view)) for view in views]
+    free = [row for row, text in enumerate(told) if text]
+    if 2 * len(free) > len(views):
+        raise AmbiguousError(
+            f"the part leaves its pose open in {len(free)} of {len(views)} views; in {names[free[0]]}, {told[free[0]]}"
+        )
+
+
+def _resistance(points: Floats) -> tuple[Floats, float, Floats]:
+    """How a surface resists motions over itself (6, 6), per unit of area, its extent, and its middle (3,)."""
+    surfels = build_surfels(points, choose_resolution(points).voxel_mm)
+    shown = np.linalg.norm(surfels.normals, axis=1) > 0.5
+    places, normals = surfels.points[shown], surfels.normals[shown]
+    middle = places.mean(axis=0)
+    rows = np.hstack([normals, np.cross(places - middle, normals)])
+    return rows.T @ rows / len(rows), _extent(points), middle
+
+
+def _free_motions(information: Floats, extent: float, centre: Floats) -> str:
+    """In words, motions that a surface resists by less than ``LEAST_STIFFNESS``; empty where it resists all."""
+    scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
+    squares, directions = np.linalg.eigh(information * np.outer(scale, scale))
+    weak = squares < LEAST_STIFFNESS**2
+    if not weak.any():
+        return ""
+    named = motion_names(directions[:, weak] * scale[:, None] * extent, extent, centre)
+    return (
+        f"free motion: {'; '.join(named)}; the surface moves along its normals by"
+        f" {np.sqrt(np.maximum(squares[0], 0)):.1%} of such a motion only, no more than a camera's own depth error"
+        " feigns; show a part with relief on all sides, or use another target"
+    )

@@ -1,0 +1,102 @@
+"""Views of one part registered to each other: poses that all pairs agree on; wrong pairs go, free motions are named."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
+from grindvision.geometry import angle_between, inverse, random_rotation, rigid
+from grindvision.vision.registration import views
+from grindvision.vision.registration.views import ViewRegistration, register_views
+from tests.hand_eye_scene import part_view
+
+
+def camera_poses(rng, n=5, turn_deg=25.0):
+    """T_part_camera (n, 4, 4) of cameras that look down on the part from 400 mm."""
+    down = np.diag([1.0, -1.0, -1.0])
+    turns = [down @ Rotation.from_rotvec(np.radians(rng.uniform(-turn_deg, turn_deg, 3))).as_matrix() for _ in range(n)]
+    return np.array([rigid(turn, -400.0 * turn[:, 2] + rng.uniform(-20, 20, 3)) for turn in turns])
+
+
+def seen(seed, n=5, **kind):
+    rng = np.random.default_rng(seed)
+    poses = camera_poses(rng, n)
+    return poses, [part_view(pose, rng, **kind) for pose in poses]
+
+
+def worst(found: ViewRegistration, poses):
+    """Largest rotation in rad and distance in mm by which the views' poses differ from the truth, of the part."""
+    offset = poses[found.reference] @ inverse(found.T_part_view[found.reference])
+    turns = [angle_between(offset @ found.T_part_view[row], poses[row]) for row in found.found]
+    places = [
+        np.linalg.norm((offset @ found.T_part_view[row] @ inverse(poses[row]) - np.eye(4))[:3, 3])
+        for row in found.found
+    ]
+    return max(turns), max(places)
+
+
+def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in_its_middle():
+    poses, clouds = seen(0)
+    found = register_views(clouds)
+    turn, place = worst(found, poses)
+    assert turn < 2e-3 and place < 0.1
+    assert found.found.tolist() == [0, 1, 2, 3, 4]
+    middle = np.mean(
+        [found.T_part_view[k, :3, :3] @ clouds[k].mean(axis=0) + found.T_part_view[k, :3, 3] for k in range(5)], axis=0
+    )
+    assert np.abs(middle).max() < 0.01
+    assert "5 of 5 views" in str(found)
+
+
+def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
+    poses, clouds = seen(0)
+    plain = views._tie
+
+    def wrong(fine, source):
+        tie = plain(fine, source)
+        if source is kept[3] and not seen_pairs:
+            seen_pairs.append(1)
+            turned = rigid(random_rotation(np.random.default_rng(0))) @ tie.T_target_source
+            return replace(tie, T_target_source=turned)
+        return tie
+
+    seen_pairs, kept = [], clouds
+    monkeypatch.setattr(views, "without_strays", lambda points, name: points)
+    monkeypatch.setattr(views, "check_points", lambda points, *_: points)
+    monkeypatch.setattr(views, "_tie", wrong)
+    found = register_views(clouds)
+    assert list(found.refused.values()) == ["does not agree with the other pairs"]
+    assert worst(found, poses)[1] < 0.1
+
+
+def test_a_view_of_another_part_is_left_out_and_told():
+    poses, clouds = seen(2, 4)
+    rng = np.random.default_rng(7)
+    other = rng.normal(size=(3000, 3))
+    clouds.append(60 * other / np.linalg.norm(other, axis=1)[:, None] * [1, 0.4, 0.2] + [0, 0, 400])
+    with pytest.warns(GrindvisionWarning, match="view 5 cannot be tied"):
+        found = register_views(clouds)
+    assert found.found.tolist() == [0, 1, 2, 3]
+    assert np.isnan(found.T_part_view[4]).all()
+    assert worst(found, poses)[1] < 0.1
+
+
+def test_a_flat_part_is_refused_and_its_three_free_motions_named():
+    _, clouds = seen(3, 4, flat=True)
+    with pytest.raises(AmbiguousError) as refused:
+        register_views(clouds)
+    assert len(re.findall("translation along", str(refused.value))) == 2
+    assert len(re.findall("rotation about", str(refused.value))) == 1
+
+
+def test_too_little_is_refused():
+    _, clouds = seen(4, 3)
+    with pytest.raises(InputError, match="2 views"):
+        register_views(clouds[:2])
+    with pytest.raises(DegenerateError, match="b: 100 points"):
+        register_views([clouds[0], clouds[1][:100], clouds[2]], ["a", "b", "c"])
+    with pytest.raises(DegenerateError, match="cannot be tied"):
+        register_views(clouds, pairs=[(0, 1)])
