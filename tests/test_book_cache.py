@@ -120,6 +120,44 @@ def test_a_damaged_entry_is_built_anew(book):
     assert (book.figures / "one.csv").read_text() == "x_mm\n1\n" and not (book.figures / "two.csv").exists()
 
 
+@pytest.mark.parametrize("foreign", ["file", "link", "dangling link", "endless list", "no seconds"])
+def test_what_is_no_entry_is_replaced_and_what_a_link_points_at_stays(tmp_path, foreign):
+    parts = {"format": "1"}
+
+    def built() -> kept.Entry:
+        with kept.new_entry(tmp_path / "kept") as folder:
+            (folder / "figures" / "one.csv").write_text("x_mm\n1\n")
+            return kept.keep(folder, "01", parts, 1.0)
+
+    place = built().folder
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (theirs / "precious.txt").write_text("mine")
+    if foreign == "endless list":
+        (place / "made.json").write_text("[" * 100_000)
+    elif foreign == "no seconds":
+        (place / "made.json").write_text((place / "made.json").read_text().replace("1.0", "NaN"))
+    else:
+        shutil.rmtree(place)
+        if foreign == "file":
+            place.write_text("no folder")
+        else:
+            place.symlink_to(theirs if foreign == "link" else tmp_path / "nowhere")
+    assert kept.find(place.parent, "01", parts)[0] is None
+    assert built().folder == place and not place.is_symlink()
+    assert kept.find(place.parent, "01", parts)[0] is not None
+    assert (theirs / "precious.txt").read_text() == "mine"
+
+
+def test_an_entry_that_cannot_be_replaced_is_named_in_one_line(tmp_path, monkeypatch):
+    with kept.new_entry(tmp_path / "kept") as folder:
+        (tmp_path / "kept" / "01").mkdir()
+        (tmp_path / "kept" / "01" / "held").write_text("")
+        monkeypatch.setattr(kept.shutil, "rmtree", lambda *_, **__: None)
+        with pytest.raises(FileError, match=r"kept.01 cannot be replaced: .*; remove it and build again"):
+            kept.keep(folder, "01", {}, 1.0)
+
+
 def test_what_a_killed_build_left_is_removed(book):
     left = book.entry.parent / ".building-abc" / "figures"
     left.mkdir(parents=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import re
@@ -23,6 +24,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 from grindvision import paper
+from grindvision.errors import FileError
 from grindvision.files import sha256, write_json
 from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook, source_of
 from grindvision_book.machinery.places import FIGURES, ROOT
@@ -101,12 +103,12 @@ def find(kept: Path, number: str, parts: Parts) -> tuple[Entry | None, str]:
         then, files, seconds = dict(made["parts"]), dict(made["files"]), float(made["seconds"])
     except FileNotFoundError:
         return None, "never built here"
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None, "what was kept of it is damaged"
     if changed := sorted(name for name in {*then, *parts} if then.get(name) != parts.get(name)):
         more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
         return None, f"changed: {changed[0]}{more}"
-    if files != _files(folder):
+    if files != _files(folder) or not math.isfinite(seconds):
         return None, "what was kept of it is damaged"
     return Entry(folder, seconds), ""
 
@@ -124,11 +126,20 @@ def new_entry(kept: Path) -> Iterator[Path]:
 
 
 def keep(folder: Path, number: str, parts: Parts, seconds: float) -> Entry:
-    """Put a folder of ``new_entry`` into place as the entry of a chapter."""
+    """Put a folder of ``new_entry`` into place as the entry of a chapter, instead of whatever stands there.
+
+    Raises:
+        FileError: what stands there cannot be removed.
+    """
     write_json(folder / "made.json", {"parts": parts, "files": _files(folder), "seconds": round(seconds, 1)})
     place = folder.parent / number
-    shutil.rmtree(place, ignore_errors=True)
-    folder.rename(place)
+    try:
+        if place.is_symlink() or place.is_file():
+            place.unlink()
+        shutil.rmtree(place, ignore_errors=True)
+        folder.rename(place)
+    except OSError as error:
+        raise FileError(f"{place} cannot be replaced: {error.strerror}; remove it and build again") from None
     return Entry(place, seconds)
 
 
