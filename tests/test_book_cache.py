@@ -153,7 +153,7 @@ def test_an_entry_that_cannot_be_replaced_is_named_in_one_line(tmp_path, monkeyp
     with kept.new_entry(tmp_path / "kept") as folder:
         (tmp_path / "kept" / "01").mkdir()
         (tmp_path / "kept" / "01" / "held").write_text("")
-        monkeypatch.setattr(kept.shutil, "rmtree", lambda *_, **__: None)
+        monkeypatch.setattr(shutil, "rmtree", lambda *_, **__: None)
         with pytest.raises(FileError, match=r"kept.01 cannot be replaced: .*; remove it and build again"):
             kept.keep(folder, "01", {}, 1.0)
 
