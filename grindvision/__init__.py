@@ -29,6 +29,7 @@ _HOMES = {
     "motion.trajectory": ("ToolTrajectoryOptions", "Trajectory", "tool_trajectory"),
     "motion.plan": ("Motion", "PlanMotionOptions", "plan_motion"),
     "motion.programme": ("write_programme",),
+    "grinding": ("GrindOptions", "Grinding", "grind"),
     "cell.simulation": ("SimulateOptions", "simulate"),
 }
 _RENAMED = {

@@ -88,7 +88,9 @@ def test_a_pit_is_reported_and_is_no_stock():
 
 def test_the_same_scan_measured_again_is_the_same_stock():
     _, found, stock = one_bead()
-    (again,) = measure_again(found.test, found.sample, found.registration, found.difference, stock.pieces, np.eye(4))
+    (again,) = measure_again(
+        found.test, found.sample, found.registration, found.difference, [stock.pieces[0].place], np.eye(4)
+    )
     assert again.volume_mm3 == pytest.approx(stock.pieces[0].volume_mm3, rel=0.01)
     assert np.allclose(again.map.ground_mm, stock.pieces[0].map.ground_mm, equal_nan=True)
 

@@ -73,6 +73,13 @@ class Target:
         ways = _ways(points, normals, eye, self.centre)
         return ~self._scene.test_occlusions(o3d.core.Tensor(ways), tfar=1.0).numpy()
 
+    def heights(self, points: Floats, normals: Floats, above_mm: float = 20.0) -> Floats:
+        """Heights (N,) of the surface over points (N, 3) along unit normals (N, 3), the highest within ``above_mm`` and
+        as far below; NaN where there is none."""
+        rays = np.hstack([points - self.centre + above_mm * normals, -normals]).astype(np.float32)
+        found = self._scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(float)
+        return np.where(found <= 2 * above_mm, above_mm - found, np.nan)
+
 
 @lru_cache(maxsize=8)
 def target_of(solid: Solid) -> Target:

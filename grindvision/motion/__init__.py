@@ -10,6 +10,10 @@ from typing import Any
 
 _HOMES = {
     "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
+    "grinding": ("GrindingPass", "GrindingPlan", "Workpiece", "plan_grinding", "preston_depth", "simulate_passes"),
+    "grinding_options": ("GrindingOptions",),
+    "grinding_path": ("ToolPath", "driven", "grinding_programme", "tool_path"),
+    "removal": ("LearntRemoval", "learn_removal"),
     "known": ("KnownRobot", "known_robots"),
     "follow": ("JointPath", "follow_trajectory", "start_angles"),
     "plan": ("Motion", "PlanMotionOptions", "plan_motion"),

@@ -70,12 +70,23 @@ class _Scans(NamedTuple):
     surface: Surfels
 
 
+class MappedPlace(NamedTuple):
+    """A place on the part: a map, the nodes (R, C) ``inside`` a piece and those ``unchanged``, and how high the piece
+    stands at most."""
+
+    map: HeightMap
+    inside: Flags
+    unchanged: Flags
+    highest_mm: float
+
+
 @by_content
 @dataclass(frozen=True)
 class StockPiece:
     """One piece of stock over the good surface, with standard deviations (``sigma``).
 
-    ``map``: heights along the normals of the good surface, in the frame of the test scan, freed from the ``datum``;
+    ``map``: heights along the normals of the good surface, in the frame of the test scan, freed from the ``datum``,
+    which the ground holds: it is where the good surface lies in that scan;
     ``sigma_mm`` (R, C) of each node; ``inside`` (R, C) the nodes over which the volume is taken; ``hidden`` (R, C)
     those of them that the test scan does not show and whose height is interpolated; ``unchanged`` (R, C) the surface
     around, of no piece. ``area_mm2``: of the good surface under what stands above ``level_mm``, the level of detection.
@@ -100,6 +111,19 @@ class StockPiece:
     height_mean_sigma_mm: float
     hidden_mm2: float
     unshown_mm2: float
+
+    @property
+    def place(self) -> MappedPlace:
+        """Where the piece is, to be measured again."""
+        facing = np.where(self.map.shown, self.map.normals[..., 2], 1.0)
+        ground = self.map.ground_mm - self.datum.heights_mm / facing
+        return MappedPlace(replace(self.map, ground_mm=ground), self.inside, self.unchanged, self.height_max_mm)
+
+    @property
+    def ground_sigma_mm(self) -> float:
+        """Standard deviation of the good surface under the piece: the datum's and one node's noise."""
+        common = float(self.datum.variances_mm2[self.inside].mean()) if self.inside.any() else 0.0
+        return float(np.sqrt(common + self.datum.noise.covariance_mm2[0]))
 
     @property
     def above(self) -> Flags:
@@ -176,7 +200,8 @@ def measure_stock(
         empty = empty_map(surface, T_scan_map, size_mm, spacing)
         others = [outline[0] for other, outline in enumerate(outlines) if other != at]
         inside, unchanged = _inside(empty, feet, others, difference.cell_mm)
-        pieces.append(_measured(scans, registration, difference, (empty, inside, unchanged, highest_mm)))
+        place = MappedPlace(_smoothed(empty, scans, difference), inside, unchanged, highest_mm)
+        pieces.append(_measured(scans, registration, difference, place))
     pits = missing_pieces(source, target, registration)
     return Stock(
         tuple(pieces),
@@ -192,26 +217,22 @@ def measure_again(
     target: Scan,
     registration: FineRegistration,
     difference: Difference,
-    pieces: Sequence[StockPiece],
+    places: Sequence[MappedPlace],
     T_source_scan: Floats,
 ) -> tuple[StockPiece, ...]:
-    """The same pieces over the same nodes in a new scan of the part, the ``source``.
+    """What stands at the same places, over the same nodes, in a new scan of the part, the ``source``.
 
-    ``pieces`` were measured in the frame of an earlier scan, from which ``T_source_scan`` (4, 4) leads to the new one.
+    ``places`` are in the frame of an earlier scan, from which ``T_source_scan`` (4, 4) leads to the new one.
     """
     back = inverse(registration.T_target_source)
     scans = _Scans(source.points, move_points(back, target.points), surface_in_frame(target.surfels, back))
     found = []
-    for piece in pieces:
-        empty = replace(
-            piece.map,
-            T_scan_map=orthonormalised(T_source_scan @ piece.map.T_scan_map),
-            heights_mm=np.full(piece.map.shape, np.nan),
-        )
-        highest_mm = max(piece.height_max_mm, difference.level_of_detection_mm)
-        there = (empty, piece.inside, piece.unchanged, highest_mm)
-        again = _measured(scans, registration, difference, there)
-        found.append(replace(again, map=replace(again.map, ground_mm=piece.map.ground_mm)))
+    for place in places:
+        T_source_map = orthonormalised(T_source_scan @ place.map.T_scan_map)
+        empty = replace(place.map, T_scan_map=T_source_map, heights_mm=np.full(place.map.shape, np.nan))
+        highest_mm = max(place.highest_mm, difference.level_of_detection_mm)
+        there = MappedPlace(empty, place.inside, place.unchanged, highest_mm)
+        found.append(_measured(scans, registration, difference, there))
     return tuple(found)
 
 
@@ -250,11 +271,19 @@ def _away(empty: HeightMap, feet: Floats) -> Floats:
     return np.asarray(distance_transform_edt(free)) * empty.spacing_mm
 
 
+def _smoothed(empty: HeightMap, scans: _Scans, difference: Difference) -> HeightMap:
+    """The ground freed from how planes of surfels cut a curved surface, by the mean over a surfel."""
+    below = measure_heights(scans.target, scans.surface, empty, 4 * difference.level_of_detection_mm)
+    cells = 2 * int(difference.cell_mm / empty.spacing_mm / 2) + 1
+    smooth = uniform_filter(np.nan_to_num(below.heights_mm), cells)
+    return replace(empty, ground_mm=empty.ground_mm + smooth / np.where(empty.shown, empty.normals[..., 2], 1.0))
+
+
 def _measured(
     scans: _Scans,
     registration: FineRegistration,
     difference: Difference,
-    there: tuple[HeightMap, Flags, Flags, float],
+    there: MappedPlace,
 ) -> StockPiece:
     """A piece over an ``empty`` map, given the nodes ``inside`` it, those ``unchanged``, and how high it may be.
 
@@ -280,9 +309,12 @@ def _measured(
     noise = datum.noise.sigma_mm * np.sqrt(usual / np.maximum(measured.weights, 1e-9))
     noise = np.where(hidden, FLAT * np.abs(np.nan_to_num(heights)) + datum.noise.sigma_mm, noise)
     sigma = np.where(inside_shown | np.isfinite(raw), np.sqrt(noise**2 + datum.variances_mm2), np.nan)
-    smooth = uniform_filter(np.nan_to_num(below.heights_mm), 2 * int(difference.cell_mm / empty.spacing_mm / 2) + 1)
-    ground = empty.ground_mm + smooth / np.where(empty.shown, empty.normals[..., 2], 1.0)
-    filled = replace(empty, ground_mm=ground, heights_mm=np.where(empty.shown, heights, np.nan))
+    facing = np.where(empty.shown, empty.normals[..., 2], 1.0)
+    filled = replace(
+        empty,
+        ground_mm=empty.ground_mm + datum.heights_mm / facing,
+        heights_mm=np.where(empty.shown, heights, np.nan),
+    )
     sampling = sampling_variance(measured, filled, inside_shown, usual_square)
     return StockPiece(
         filled, sigma, inside_shown, hidden, unchanged & empty.shown, datum, level_mm,

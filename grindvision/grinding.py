@@ -1,0 +1,195 @@
+"""From two scans to grinding passes, and from a third scan to what they left: vision and motion joined."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
+from grindvision.geometry import check_points, inverse, move_points
+from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
+from grindvision.motion.grinding_options import GrindingOptions
+from grindvision.parallel import one_blas_thread
+from grindvision.records import by_content
+from grindvision.vision.change.change_detection import Difference, find_change
+from grindvision.vision.change.diagnostics import NAMES, diagnose
+from grindvision.vision.change.ridge_path import lies_on, trace_bead
+from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
+from grindvision.vision.registration import scan_registration
+from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STAGES = (*scan_registration.STAGES, "difference", "stock", "passes")
+
+
+@by_content
+@dataclass(frozen=True)
+class GrindOptions:
+    """Settings of ``grind``: the ``passes``, the height ``maps``, ``keep_out`` points (K, 3) in the frame of the test
+    scan that must not be touched, ``seed`` of the random draws, the scanners' places where they are known."""
+
+    passes: GrindingOptions = field(default_factory=GrindingOptions)
+    maps: MeasureStockOptions = field(default_factory=MeasureStockOptions)
+    keep_out: ArrayLike | None = None
+    seed: int = 0
+    viewpoint_sample_mm: ArrayLike | None = None
+    viewpoint_test_mm: ArrayLike | None = None
+
+
+@by_content
+@dataclass(frozen=True)
+class Compared:
+    """Two scans, registered, and what differs; ``doubts`` in words speak against it."""
+
+    registration: Registration
+    difference: Difference
+    doubts: tuple[str, ...]
+
+
+@by_content
+@dataclass(frozen=True)
+class Grinding:
+    """Result of ``grind``, in the frame of the test scan: the ``compared`` scans, the ``stock``, and a plan for each of
+    its pieces, None where there is none (``refusals`` say why, by the number of the piece)."""
+
+    compared: Compared
+    stock: Stock
+    plans: tuple[GrindingPlan | None, ...]
+    refusals: dict[int, str]
+    timings_s: dict[str, float] = field(compare=False)
+
+    @property
+    def T_sample_test(self) -> Floats:
+        """Registration (4, 4): T_sample_test @ p_test = p_sample."""
+        return self.compared.registration.T_target_source
+
+    def __str__(self) -> str:
+        planned = [plan for plan in self.plans if plan is not None]
+        passes = sum(len(plan.passes) for plan in planned)
+        seconds = sum(plan.seconds for plan in planned)
+        return f"{self.stock}; {passes} pass(es) on {len(planned)} piece(s), {seconds:.0f} s in contact"
+
+
+@one_blas_thread()
+def grind(
+    sample: ArrayLike,
+    test: ArrayLike,
+    options: GrindOptions | None = None,
+    finished: Callable[[str], None] | None = None,
+) -> Grinding:
+    """Measure what stands above the good part, and plan the passes that take it off.
+
+    Args:
+        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame.
+        test: scan of the part to be ground, points (M, 3) in mm in its own scanner's frame.
+        options: wheel, cut, process, maps; see ``GrindOptions``.
+        finished: is told the name of each stage (``STAGES``) when it is done.
+
+    Returns:
+        Stock in mm, mm2 and mm3 with standard deviations, and plans, in the frame of the test scan.
+
+    Raises:
+        InputError, DegenerateError: the scans cannot be compared (see ``detect``); nothing stands out, or missing
+            material only; no piece can be ground, for the reason that the message names.
+
+    Warns:
+        GrindvisionWarning: something speaks against the comparison; a piece that cannot be ground; missing material.
+
+    Example:
+        >>> from grindvision import GrindOptions, SimulateOptions, grind, simulate
+        >>> scene = simulate("grinding", SimulateOptions(seed=1, every=6))
+        >>> ground = grind(scene.sample.points, scene.test.points)
+        >>> len(ground.stock.pieces), len(ground.plans[0].passes) > 10
+        (1, True)
+    """
+    options = GrindOptions() if options is None else options
+    clock = StageClock(finished)
+    compared = compare(sample, test, options, clock)
+    found = compared.registration
+    stock = measure_stock(found.source, found.target, found.fine, compared.difference, options.maps)
+    clock.lap("stock")
+    if not stock.pieces:
+        raise DegenerateError(_no_stock(stock))
+    courses = _courses(compared.difference)
+    keep_out = None if options.keep_out is None else check_points(options.keep_out, "keep-out points")
+    plans: list[GrindingPlan | None] = []
+    refusals = {}
+    for number, piece in enumerate(stock.pieces, start=1):
+        try:
+            plans.append(plan_grinding(workpiece(piece, keep_out, courses), options.passes))
+        except InputError as error:
+            refusals[number] = str(error)
+            plans.append(None)
+    if all(plan is None for plan in plans):
+        raise InputError(refusals[1])
+    clock.lap("passes")
+    said = [f"piece {number} is not ground: {why}" for number, why in refusals.items()]
+    if stock.pits:
+        said.append(
+            f"material is missing in {len(stock.pits)} place(s), the largest {stock.pits[0]},"
+            f" {stock.pit_depths_mm[0]:.2f} mm deep; it is reported and not ground"
+        )
+    for sentence in (*compared.doubts, *said):
+        warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
+    return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
+
+
+def compare(sample: ArrayLike, test: ArrayLike, options: GrindOptions, clock: StageClock) -> Compared:
+    """Register a pair and find what differs; see ``detect`` for what is refused."""
+    viewpoints = options.viewpoint_test_mm, options.viewpoint_sample_mm
+    found = register_pair(test, sample, viewpoints, np.random.default_rng(options.seed), clock, NAMES)
+    difference = find_change(found.source, found.target, found.fine)
+    against = diagnose(found.source, found.target, found.fine, difference, options.seed)
+    clock.lap("difference")
+    return Compared(found, difference, tuple(one for one in against if "material is missing" not in one))
+
+
+def workpiece(piece: StockPiece, keep_out: Floats | None = None, courses: tuple[Floats, ...] = ()) -> Workpiece:
+    """A piece of stock as ``plan_grinding`` takes it; ``courses`` (M, 3) of beads in the frame of the scan."""
+    heights = piece.map
+    keep = np.zeros(heights.shape, dtype=bool)
+    if keep_out is not None:
+        places = move_points(inverse(heights.T_scan_map), keep_out)
+        at = np.rint(places[:, :2] / heights.spacing_mm).astype(np.int64)
+        at = at[((at >= 0) & (at < heights.shape)).all(axis=1)]
+        keep[at[:, 0], at[:, 1]] = True
+    course = None
+    for ridge in courses:
+        on_map = move_points(inverse(heights.T_scan_map), ridge)[:, :2]
+        at = np.rint(on_map / heights.spacing_mm).astype(np.int64)
+        there = ((at >= 0) & (at < heights.shape)).all(axis=1)
+        if there.all() and piece.inside[at[:, 0], at[:, 1]].mean() > 0.8:
+            course = on_map
+            break
+    return Workpiece(heights, piece.inside, keep, piece.level_mm, piece.ground_sigma_mm, course)
+
+
+def _courses(difference: Difference) -> tuple[Floats, ...]:
+    """Ridges (M, 3) of the open beads among the pieces; a piece without one is worked in rows."""
+    ridges = []
+    for cluster in difference.clusters:
+        try:
+            bead = trace_bead(cluster)
+        except DegenerateError:
+            continue
+        if not bead.closed and lies_on(cluster, bead.ridge, 2.0):
+            ridges.append(bead.ridge)
+    return tuple(ridges)
+
+
+def _no_stock(stock: Stock) -> str:
+    if stock.pits:
+        return (
+            f"nothing stands out of the good part above {stock.level_mm:.2g} mm, but material is missing in"
+            f" {len(stock.pits)} place(s), the largest {stock.pits[0]}, {stock.pit_depths_mm[0]:.2f} mm deep: a pit is"
+            " never ground; were SAMPLE and TEST swapped?"
+        )
+    return (
+        f"nothing stands out of the good part above the level of detection of {stock.level_mm:.2g} mm: nothing to grind"
+    )

@@ -1,0 +1,138 @@
+"""Where a wheel or disc meets a height map: how far it must be lifted over a floor, and what it takes off.
+
+A pose of the tool is its tip on the ground with three axes: along the feed, across, and along the ground's normal. The
+tip is the lowest point of a wheel, of a disc the point of its rim that its tilt presses down.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.geometry.height_map import HeightMap
+from grindvision.kernels import njit
+from grindvision.motion.grinding_options import GrindingOptions
+
+Floats = NDArray[np.float64]
+
+WHEEL, DISC = 0, 1
+
+
+class ToolShape(NamedTuple):
+    """The lower surface of a tool: its kind, radius, half width of a wheel, tilt of a disc.
+
+    ``step_mm``: how far the rim of a disc is drawn from pose to pose. ``along_mm``, ``across_mm``: how far from the tip
+    it can touch what stands no higher than some height.
+    """
+
+    kind: int
+    radius_mm: float
+    half_width_mm: float
+    tilt_rad: float
+    step_mm: float
+    along_mm: float
+    across_mm: float
+
+
+class Nodes(NamedTuple):
+    """Ground points and normals (R, C, 6) of a map in its own frame, NaN where it shows none, and their spacing."""
+
+    rows: Floats
+    spacing_mm: float
+
+
+def tool_shape(options: GrindingOptions, highest_mm: float) -> ToolShape:
+    """The tool, as far as it may touch what stands up to ``highest_mm`` over its tip."""
+    radius = options.radius_mm
+    if options.tool == "wheel":
+        high = min(highest_mm, radius)
+        along = float(np.sqrt(high * (2 * radius - high)))
+        return ToolShape(WHEEL, radius, options.width_mm / 2, 0.0, 0.0, along, options.width_mm / 2)
+    return ToolShape(DISC, radius, radius, options.contact_angle_rad, options.step_mm, 2 * radius, radius)
+
+
+def nodes_of(heights: HeightMap) -> Nodes:
+    """The ground of a map for the kernels."""
+    return Nodes(np.ascontiguousarray(np.concatenate([heights.feet_mm, heights.normals], axis=-1)), heights.spacing_mm)
+
+
+@njit(cache=True, nogil=True)
+def _lower(x: float, y: float, shape: ToolShape) -> float:
+    """Height of the tool's lower surface over its tip, at x along and y across; infinite beside the tool."""
+    if shape.kind == 0:
+        if abs(y) > shape.half_width_mm or abs(x) >= shape.radius_mm:
+            return np.inf
+        return shape.radius_mm - np.sqrt(shape.radius_mm * shape.radius_mm - x * x)
+    if abs(y) >= shape.radius_mm:
+        return np.inf
+    half = np.sqrt(shape.radius_mm * shape.radius_mm - y * y)
+    front = (half - shape.radius_mm) * np.cos(shape.tilt_rad)
+    if x > front + shape.step_mm or x < -(half + shape.radius_mm) * np.cos(shape.tilt_rad):
+        return np.inf
+    return -min(x, front) * np.tan(shape.tilt_rad)
+
+
+@njit(cache=True, nogil=True)
+def lifts_over(nodes: Nodes, floors: Floats, poses: Floats, shape: ToolShape) -> Floats:
+    """Least heights (K,) of the tip over the ground at poses (K, 12) at which the tool is nowhere below the floors.
+
+    ``floors`` (R, C): heights over the ground, along its normals, that must not be cut; NaN where there are none.
+    """
+    ground, spacing = nodes
+    lifts = np.full(len(poses), -np.inf)
+    reach = np.sqrt(shape.along_mm * shape.along_mm + shape.across_mm * shape.across_mm)
+    for k in range(len(poses)):
+        pose = poses[k]
+        first_i, last_i = max(int((pose[0] - reach) / spacing), 0), int((pose[0] + reach) / spacing) + 1
+        first_j, last_j = max(int((pose[1] - reach) / spacing), 0), int((pose[1] + reach) / spacing) + 1
+        for i in range(first_i, min(last_i, ground.shape[0] - 1) + 1):
+            for j in range(first_j, min(last_j, ground.shape[1] - 1) + 1):
+                floor = floors[i, j]
+                node = ground[i, j]
+                if np.isnan(floor) or np.isnan(node[2]):
+                    continue
+                x = y = z = 0.0
+                for axis in range(3):
+                    away = node[axis] + floor * node[3 + axis] - pose[axis]
+                    x += away * pose[3 + axis]
+                    y += away * pose[6 + axis]
+                    z += away * pose[9 + axis]
+                if abs(x) > shape.along_mm or abs(y) > shape.across_mm:
+                    continue
+                lift = z - _lower(x, y, shape)
+                if lift > lifts[k]:
+                    lifts[k] = lift
+    return lifts
+
+
+@njit(cache=True, nogil=True)
+def envelope_of(nodes: Nodes, poses: Floats, lifts: Floats, shape: ToolShape) -> Floats:
+    """Heights (R, C) over the ground, along its normals, below which the tool comes nowhere on its way through the
+    poses (K, 12) at ``lifts`` (K,); infinite where it does not come."""
+    ground, spacing = nodes
+    lowest = np.full(ground.shape[:2], np.inf)
+    reach = np.sqrt(shape.along_mm * shape.along_mm + shape.across_mm * shape.across_mm)
+    for k in range(len(poses)):
+        pose = poses[k]
+        first_i, last_i = max(int((pose[0] - reach) / spacing), 0), int((pose[0] + reach) / spacing) + 1
+        first_j, last_j = max(int((pose[1] - reach) / spacing), 0), int((pose[1] + reach) / spacing) + 1
+        for i in range(first_i, min(last_i, ground.shape[0] - 1) + 1):
+            for j in range(first_j, min(last_j, ground.shape[1] - 1) + 1):
+                node = ground[i, j]
+                if np.isnan(node[2]):
+                    continue
+                x = y = z = facing = 0.0
+                for axis in range(3):
+                    away = node[axis] - pose[axis]
+                    x += away * pose[3 + axis]
+                    y += away * pose[6 + axis]
+                    z += away * pose[9 + axis]
+                    facing += node[3 + axis] * pose[9 + axis]
+                if abs(x) > shape.along_mm or abs(y) > shape.across_mm or facing < 0.2:
+                    continue
+                height = (_lower(x, y, shape) + lifts[k] - z) / facing
+                if height < lowest[i, j]:
+                    lowest[i, j] = height
+    return lowest

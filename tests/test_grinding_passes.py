@@ -1,0 +1,211 @@
+"""Grinding passes over a height map: what is cut, what must stay, Preston's law, and what cannot be planned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grindvision.errors import InputError
+from grindvision.geometry.height_map import HeightMap
+from grindvision.motion.grinding import Workpiece, plan_grinding, preston_depth, simulate_passes
+from grindvision.motion.grinding_contact import envelope_of, lifts_over, nodes_of, tool_shape
+from grindvision.motion.grinding_options import PATTERNS, GrindingOptions
+from grindvision.motion.grinding_path import CUT, driven, tool_path
+from grindvision.motion.removal import learn_removal
+
+SPACING = 0.5
+
+
+def flat_work(height=None, size=(60.0, 30.0), bend_per_mm=0.0, keep=None, sigma=0.01):
+    """A bead along x on a cylinder about x (``bend_per_mm`` its curvature), height(x, y) over it."""
+    x, y = (np.arange(round(side / SPACING) + 1) * SPACING for side in size)
+    x, y = np.meshgrid(x, y, indexing="ij")
+    across = y - size[1] / 2
+    ground = 0.5 * bend_per_mm * across**2
+    normals = np.stack([np.zeros_like(x), -bend_per_mm * across, np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    if height is None:
+        heights = 1.5 * np.clip(1 - (across / 2.5) ** 2, 0, None) * ((x > 15) & (x < 45))
+    else:
+        heights = height(x, y)
+    grid = HeightMap(np.eye(4), SPACING, ground, normals, heights)
+    inside = heights > 0.02
+    keep = np.zeros_like(inside) if keep is None else keep(x, y)
+    course = np.column_stack([np.linspace(15, 45, 40), np.full(40, size[1] / 2)])
+    return Workpiece(grid, inside, keep, 0.05, sigma, course)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(("tool", "radius_mm"), [("wheel", 20.0), ("disc", 25.0)])
+def test_passes_take_the_stock_down_to_what_is_left_and_never_below(pattern, tool, radius_mm):
+    work = flat_work()
+    plan = plan_grinding(
+        work,
+        GrindingOptions(tool=tool, radius_mm=radius_mm, width_mm=3.0, pattern=pattern, depth_mm=0.3, leave_mm=0.04),
+    )
+    assert len(plan.passes) == 5
+    # a loop round a narrow bead leaves its corners to the tilted disc
+    assert plan.remaining_mm[work.inside].max() < (0.35 if (tool, pattern) == ("disc", "contour") else 0.12)
+    assert np.quantile(plan.remaining_mm[work.inside], 0.95) < 0.1
+    cut = plan.remaining_mm < work.heights.heights_mm - 1e-9
+    assert plan.remaining_mm[cut].min() > 0.04 - 1e-9
+    assert not cut[~work.inside].any()
+    floors = [one.floor_mm for one in plan.passes]
+    assert np.allclose(floors, [1.2, 0.9, 0.6, 0.3, 0.04])
+    removed = (work.heights.heights_mm - plan.remaining_mm) * work.heights.areas_mm2
+    assert sum(one.removed_mm3 for one in plan.passes) == pytest.approx(removed.sum())
+    assert plan.unreached.mean() < 0.01
+
+
+@pytest.mark.parametrize("bend_per_mm", [-0.01, 0.02, 0.04])
+def test_on_a_curved_surface_a_wide_wheel_leaves_more_but_cuts_nothing_away(bend_per_mm):
+    narrow, wide = (
+        plan_grinding(flat_work(bend_per_mm=bend_per_mm), GrindingOptions(width_mm=width, depth_mm=0.3, leave_mm=0.02))
+        for width in (2.0, 8.0)
+    )
+    inside = narrow.work.inside
+    for plan in (narrow, wide):
+        assert np.min((plan.remaining_mm - np.minimum(plan.work.heights.heights_mm, 0.02))[inside]) > -1e-6
+    assert wide.remaining_mm[inside].max() > narrow.remaining_mm[inside].max() - 0.02
+    if bend_per_mm > 0:  # in a hollow the wheel rests on its edges: the sagitta of its width stays
+        assert wide.remaining_mm[inside].max() == pytest.approx(0.02 + bend_per_mm * 8.0**2 / 8, abs=0.06)
+
+
+def test_the_kernels_agree_with_the_tool_s_geometry(rng):
+    """A wheel's lowest lift over floors is that at which it touches one of them and cuts none; a plain loop says so."""
+    work = flat_work(bend_per_mm=0.02)
+    options = GrindingOptions(radius_mm=8.0, width_mm=4.0)
+    shape, nodes = tool_shape(options, 3.0), nodes_of(work.heights)
+    pose = np.array([[30.2, 14.6, 0.0, *np.eye(3).ravel()]])
+    floors = np.full(work.heights.shape, 0.1) + rng.uniform(0, 0.05, work.heights.shape)
+    (lift,) = lifts_over(nodes, floors, pose, shape)
+    points = (work.heights.feet_mm + floors[..., None] * work.heights.normals).reshape(-1, 3) - pose[0, :3]
+    under = (np.abs(points[:, 0]) <= shape.along_mm) & (np.abs(points[:, 1]) <= 2.0)
+    plain = (points[under, 2] - (8.0 - np.sqrt(64.0 - points[under, 0] ** 2))).max()
+    assert lift == pytest.approx(plain, abs=1e-12)
+    gaps = envelope_of(nodes, pose, np.array([lift]), shape) - floors
+    assert abs(gaps.min()) < 0.02  # a normal's line is met a little beside the node
+
+
+def test_turning_the_world_turns_the_path_with_it():
+    plan = plan_grinding(flat_work(), GrindingOptions(depth_mm=0.5, width_mm=3.0))
+    T_scan_map = np.array([[0.0, -1, 0, 5], [1, 0, 0, -7], [0, 0, 1, 300], [0, 0, 0, 1]])
+    turned = plan_grinding(replace(plan.work, heights=replace(plan.work.heights, T_scan_map=T_scan_map)), plan.options)
+    here, there = tool_path(plan).moved(T_scan_map), tool_path(turned)
+    assert np.allclose(here.points, there.points) and np.allclose(here.normals, there.normals)
+
+
+def test_a_way_leads_in_cuts_leads_out_and_retracts():
+    options = GrindingOptions(depth_mm=0.5, width_mm=3.0, lead_mm=4.0, lead_height_mm=1.0, retract_mm=15.0)
+    path = tool_path(plan_grinding(flat_work(), options))
+    for number in np.unique(path.passes):
+        for line in np.unique(path.lines[path.passes == number]):
+            kinds = path.kinds[(path.passes == number) & (path.lines == line)]
+            assert kinds[0] == kinds[-1] == 0 and kinds[1] == 1 and kinds[-2] == 3 and (kinds[2:-2] == CUT).all()
+    up = path.points[:, 2]
+    assert (
+        up[path.kinds == 0].min() > 15
+        and up[path.kinds == CUT].min() > 0
+        and (path.forces_n[path.kinds != CUT] == 0).all()
+    )
+    poses = path.trajectory(0.1).T_base_tool
+    assert np.allclose(np.einsum("ij,ij->i", poses[:, :3, 2], -path.normals), np.cos(0.1))
+    assert (np.einsum("ij,ij->i", poses[1:, :3, 0], poses[:-1, :3, 0]) > 0.5).all()  # never turned round
+    fine = driven(path.thinned(4.0))
+    assert np.linalg.norm(np.diff(fine.points, axis=0), axis=1).max() <= 10.0 + 1e-9
+
+
+def test_preston_s_feed_and_force_cut_the_planned_depth():
+    options = GrindingOptions(depth_mm=0.2, width_mm=3.0, force_n=20.0, feed_max_mm_s=30.0)
+    plan = plan_grinding(flat_work(), options)
+    for one in plan.passes:
+        length = sum(stroke.length_mm for stroke in one.strokes)
+        width = min(max(one.removed_mm3 / (length * 0.2), 0.1), 3.0)
+        assert preston_depth(options, one.force_n, one.feed_mm_s, width) == pytest.approx(0.2)
+        assert one.feed_mm_s <= 30.0 and one.force_n <= 20.0 + 1e-9
+
+
+def test_k_is_learnt_from_two_maps_within_its_sigma(rng):
+    work = flat_work()
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0, passes_max=3))
+    for factor in (0.6, 0.85):
+        *_, truth = simulate_passes(plan, work.heights.heights_mm, factor)
+        off, sigma = [], []
+        for _ in range(6):
+            after = truth + rng.normal(scale=0.03, size=truth.shape)
+            learnt = learn_removal(plan, after, np.full(truth.shape, 0.03))
+            off.append(learnt.factor / factor - 1)
+            sigma.append(learnt.k_sigma_mm2_n / learnt.k_mm2_n)
+        assert np.abs(off).max() < 0.05 and not learnt.at_least
+        assert np.sqrt(np.mean((np.array(off) / sigma) ** 2)) < 2.5
+
+
+def test_k_is_only_bounded_where_the_passes_cut_down_to_their_floors():
+    work = flat_work()
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    *_, after = simulate_passes(plan, work.heights.heights_mm, 2.5)
+    learnt = learn_removal(plan, after, np.full(after.shape, 0.03))
+    assert learnt.at_least and learnt.factor <= 1.0 and "or more" in str(learnt)
+
+
+def test_nothing_taken_off_teaches_nothing():
+    plan = plan_grinding(flat_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    with pytest.raises(InputError, match="scan after the passes"):
+        learn_removal(plan, plan.work.heights.heights_mm, np.full(plan.work.inside.shape, 0.03))
+
+
+def test_what_must_stay_is_kept_clear_of():
+    def bar(x, y):
+        return (np.abs(y - 18.0) < 0.6) & (x > 25) & (x < 35)
+
+    options = GrindingOptions(depth_mm=0.5, width_mm=2.0, keep_out_mm=1.0, leave_mm=0.02)
+    free, kept = (plan_grinding(flat_work(keep=keep), options) for keep in (None, bar))
+    near = kept.work.keep
+    assert (kept.remaining_mm == kept.work.heights.heights_mm)[near].all()
+    assert kept.remaining_mm[kept.work.inside].sum() > free.remaining_mm[free.work.inside].sum()
+    assert kept.unreached.sum() > free.unreached.sum() == 0
+
+
+@pytest.mark.parametrize(
+    ("work", "options", "said"),
+    [
+        ({}, {"depth_mm": 0.01}, "below the level of detection of 0.05 mm"),
+        ({"keep": lambda x, y: np.ones_like(x, dtype=bool)}, {}, "closes the stock on all sides"),
+        ({"bend_per_mm": 0.3}, {"width_mm": 20.0}, "wider than the place"),
+        ({"height": lambda x, y: np.full_like(x, 0.03)}, {"leave_mm": 0.1}, "nothing stands above"),
+        ({}, {"force_n": 1e-4}, "slower than the least feed"),
+        ({"height": lambda x, y: np.full_like(x, 900.0)}, {}, "passes; cut deeper"),
+        ({"sigma": np.nan}, {}, "NaN|nan"),
+    ],
+)
+def test_what_cannot_be_ground_is_named_in_one_line(work, options, said):
+    with pytest.raises(InputError, match=said) as refusal:
+        plan_grinding(flat_work(**work), GrindingOptions(**options))
+    assert "\n" not in str(refusal.value)
+
+
+def test_heights_that_are_no_numbers_are_refused():
+    work = flat_work()
+    heights = work.heights.heights_mm.copy()
+    heights[60, 30] = np.nan
+    with pytest.raises(InputError, match="1 heights of the stock are NaN"):
+        plan_grinding(replace(work, heights=replace(work.heights, heights_mm=heights)))
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"tool": "file"},
+        {"pattern": "spiral"},
+        {"radius_mm": 0.0},
+        {"depth_mm": float("nan")},
+        {"overlap": 1.0},
+        {"feed_min_mm_s": 60.0},
+        {"passes_max": 0},
+        {"leave_mm": -0.1},
+        {"depth_mm": 30.0},
+    ],
+)
+def test_settings_that_cannot_be_are_refused(setting):
+    with pytest.raises(InputError):
+        GrindingOptions(**setting)
