@@ -12,6 +12,7 @@ __version__ = "0.2.0"
 
 _HOMES = {
     "clouds": ("Cloud", "read_cloud", "write_ply"),
+    "models": ("Model", "read_model"),
     "vision.registration.scan_registration": ("RegisterOptions", "Registration", "register"),
     "vision.change.detection": ("DetectOptions", "Detection", "detect"),
     "vision.seam.groove": ("FindGroovesOptions", "GrooveDetection", "find_grooves"),

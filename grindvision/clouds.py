@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,6 +24,7 @@ from grindvision.formats.ply import read_ply
 from grindvision.formats.tables import read_table
 from grindvision.input_files import bytes_left, open_input
 from grindvision.records import by_content
+from grindvision.triangles import double_areas, sound, spread_points, vertices_suffice
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,9 @@ FARTHEST_MM = 1e6
 
 FEW_COPIES = 1e-3
 """Share of points that stand in a file twice without anybody having to know."""
+
+SAMPLE_STEP, MAX_SAMPLES = 1 / 700, 1_000_000
+"""Distance of the points spread over a mesh, fraction of its diagonal, and how many there are at most."""
 
 FLOAT32_MM = 8192.0
 """Up to here float32 resolves a micrometre."""
@@ -81,7 +85,8 @@ class Cloud:
 def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
     """Read a cloud file and return it in millimetres. NaN points are kept as they are.
 
-    A mesh gives its vertices where they cover its surface, else points spread evenly over it.
+    A mesh gives its vertices where they cover its surface, else points spread evenly over it. ``read_model`` keeps its
+    surface.
 
     Args:
         path: file with one of the suffixes of ``READERS``.
@@ -103,6 +108,24 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
         >>> print(read_cloud("plate.ply", unit="m"))
         3 points over 100.0 x 50.0 x 0.0 mm
     """
+    return cloud_of(path, read_content(path, unit), unit)
+
+
+def cloud_of(path: str | Path, content: Content, unit: str | None) -> Cloud:
+    """The cloud in mm that a file's ``content`` makes; arguments and warnings as in ``read_cloud``."""
+    note, mesh = content.note, content.triangles is not None
+    if content.triangles is not None:
+        content, of_mesh = _points_of_mesh(content, content.triangles)
+        note = "; ".join(filter(None, (note, of_mesh)))
+    if note:
+        warnings.warn(f"{path}: {note}", GrindvisionWarning, stacklevel=3)
+    scale = MM_PER[unit or content.unit or "mm"]
+    points = content.points if scale == 1.0 else content.points * scale
+    return Cloud(points, content.normals, content.grid, mesh, content.unit)
+
+
+def read_content(path: str | Path, unit: str | None = None) -> Content:
+    """What a cloud or mesh file holds, its numbers as they stand in it; arguments and errors as in ``read_cloud``."""
     path = Path(path)
     if unit is not None and unit not in MM_PER:
         raise InputError(f"unit {unit!r} is unknown; choose one of {', '.join(MM_PER)}")
@@ -117,11 +140,34 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Cloud:
         raise FileError(f"{path}: no points in the file; export the cloud again")
     if None not in (unit, content.unit) and unit != content.unit:
         raise UnitError(f"{path}: its columns are named in {content.unit}, but unit {unit} was stated; say one of them")
-    if content.note:
-        warnings.warn(f"{path}: {content.note}", GrindvisionWarning, stacklevel=2)
-    scale = MM_PER[unit or content.unit or "mm"]
-    points = content.points if scale == 1.0 else content.points * scale
-    return Cloud(points, content.normals, content.grid, content.mesh, content.unit)
+    return content
+
+
+def _points_of_mesh(content: Content, triangles: NDArray[np.int64]) -> tuple[Content, str]:
+    """The vertices of a mesh where they stand closely enough for its surface, else points spread evenly over it; and in
+    words what had to be decided. Vertices that no triangle has are left out, where they are few."""
+    vertices = content.points
+    named = np.zeros(len(vertices), dtype=bool)
+    named[triangles] = True
+    spare = int((~named).sum())
+    if spare > named.sum():
+        return content, f"{spare:,} of its {len(named):,} vertices belong to no face: read as a cloud of points"
+    note = f"{spare:,} vertices that belong to no face were left out" if spare else ""
+    corners = vertices[triangles]
+    corners = corners[sound(corners)]
+    if len(corners) == 0 or vertices_suffice(corners):
+        normals = None if content.normals is None else content.normals[named]
+        return replace(content, points=vertices[named], normals=normals), note
+    area = float(np.linalg.norm(double_areas(corners), axis=1).sum()) / 2
+    diagonal = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
+    points, owner = spread_points(corners, int(min(area / (SAMPLE_STEP * diagonal) ** 2, MAX_SAMPLES)))
+    normals = double_areas(corners)
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True))[owner]
+    said = (
+        f"a mesh of {len(triangles):,} triangles too large to stand for its surface by their corners; {len(points):,}"
+        " points were spread evenly over it"
+    )
+    return replace(content, points=points, normals=normals), "; ".join(filter(None, (said, note)))
 
 
 def finite_points(cloud: Cloud, name: str) -> Floats:

@@ -11,6 +11,7 @@ from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
+    UNITS,
     add_field_argument,
     add_mirrored_argument,
     add_unit_argument,
@@ -19,8 +20,8 @@ from grindvision.cli.scans import (
     corrected,
     pose_doubts,
     read_correction,
+    read_pair,
     read_pose,
-    read_scans,
     rows_text,
     size_question,
     where_it_stood,
@@ -31,9 +32,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
+    from grindvision.models import Model
     from grindvision.vision.change.coverage import Coverage
     from grindvision.vision.change.detection import Detection
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
+    from grindvision.vision.surface.facets import Facets
 
 ENOUGH_SHOWN = 0.8
 """Fraction of the test scan on which ``--require-height`` must be met: its rim has nothing to compare with."""
@@ -63,9 +66,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this command."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
     scans = parser.add_argument_group("scans")
-    scans.add_argument("sample", metavar="SAMPLE", help=f"scan of the good part ({CLOUD_FORMATS})")
+    scans.add_argument(
+        "sample",
+        metavar="SAMPLE",
+        help=f"scan of the good part ({CLOUD_FORMATS}), or its model: STL, OBJ or a PLY with faces, of which what the"
+        " scanner of TEST could see is compared",
+    )
     scans.add_argument("test", metavar="TEST", help="scan of the part to be ground, from any side of the same face")
     add_unit_argument(scans)
+    scans.add_argument("--sample-unit", choices=UNITS, help="unit of SAMPLE's numbers, where it is not that of TEST")
     scans.add_argument(
         "--scanner-pose",
         metavar="FILE.json",
@@ -83,8 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scans.add_argument(
         "--sample-model",
         action="store_true",
-        help="SAMPLE is a model and has no scanner's error: --field-correction is for TEST alone (a mesh is always left"
-        " as it is; points made from a CAD model need this word)",
+        help="SAMPLE is made of points of a model and has no scanner's error: --field-correction is for TEST alone (a"
+        " mesh needs no such word)",
     )
     path = parser.add_argument_group("path")
     path.add_argument("--points", type=whole, default=6, metavar="N", help="path points per bead (default: 6)")
@@ -109,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("--mirrored-only says which cloud --mirrored is for; give --mirrored as well, or leave it out")
 
     from grindvision.cli.pictures import drawing
-    from grindvision.clouds import finite_points, write_ply
+    from grindvision.clouds import write_ply
     from grindvision.files import write_text
     from grindvision.geometry import move_points, rotate_vectors
     from grindvision.vision.change.detection import STAGES, DetectOptions, detect
@@ -119,12 +128,8 @@ def run(options: argparse.Namespace) -> int:
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
-        paths = (options.sample, options.test)
         with work.stage("read"):
-            clouds = read_scans(paths, options.unit, _mirrored(options))
-            sample, test = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
-            if field is not None:
-                sample, test = _corrected_pair(field, options, clouds, [sample, test])
+            sample, test, clouds = _read(options, field)
         for doubt in [] if T_base_scanner is None else pose_doubts(T_base_scanner, test):
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
@@ -144,9 +149,32 @@ def run(options: argparse.Namespace) -> int:
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
         if T_base_scanner is not None:
             questions.append(where_it_stood(T_base_scanner))
-        values = _from_the_data(options, clouds[0], found)
-        work.report(str(found), _results(found), values, found.timings_s, questions=questions)
+        values = _from_the_data(options, found)
+        shown = "" if found.model is None else f"SAMPLE is a model: {found.model}"
+        work.report(str(found), _results(found), values, found.timings_s, shown, questions)
     return 3 if lacking else 0
+
+
+def _read(
+    options: argparse.Namespace, field: FieldCorrection | None
+) -> tuple[np.ndarray | Model, np.ndarray, list[Cloud | Model]]:
+    """SAMPLE and TEST as ``detect`` takes them, without the scanner's depth error, and as they were read."""
+    from grindvision.clouds import Cloud, finite_points
+
+    units = options.sample_unit or options.unit, options.unit
+    good, scan = read_pair((options.sample, options.test), units, _mirrored(options))
+    test = finite_points(scan, options.test)
+    if not isinstance(good, Cloud):
+        if options.sample_viewpoint is not None:
+            raise InputError("--sample-viewpoint is for a scan, and SAMPLE is a model; leave it out")
+        return good, test if field is None else corrected(field, scan, test, options.test), [good, scan]
+    sample = finite_points(good, options.sample)
+    if field is not None:
+        test = corrected(field, scan, test, options.test)
+        if not options.sample_model:
+            check_own_frame(options.sample_viewpoint)
+            sample = corrected(field, good, sample, options.sample, "export it as measured, or say --sample-model")
+    return sample, test, [good, scan]
 
 
 def _lacking_height(found: Detection, height_mm: float | None) -> str:
@@ -165,9 +193,10 @@ def _lacking_height(found: Detection, height_mm: float | None) -> str:
     )
 
 
-def _mirrored(options: argparse.Namespace) -> list[str | None]:
+def _mirrored(options: argparse.Namespace) -> tuple[str | None, str | None]:
     """For SAMPLE and TEST the axis that counts the wrong way, or None."""
-    return [options.mirrored if options.mirrored_only in (None, name) else None for name in ("sample", "test")]
+    only = options.mirrored_only
+    return options.mirrored if only != "test" else None, options.mirrored if only != "sample" else None
 
 
 def _results(found: Detection) -> dict[str, Any]:
@@ -180,6 +209,7 @@ def _results(found: Detection) -> dict[str, Any]:
         "covariance": registration.total_covariance,
         "level_of_detection_mm": found.difference.level_of_detection_mm,
         "coverage": _coverage(found.coverage),
+        **({} if found.model is None else {"model": _model(found.model.facets)}),
         "beads": [
             {
                 "points": len(bead.points),
@@ -190,6 +220,17 @@ def _results(found: Detection) -> dict[str, Any]:
             }
             for bead in found.beads
         ],
+    }
+
+
+def _model(facets: Facets) -> dict[str, Any]:
+    """What SAMPLE is, where it is a model."""
+    return {
+        "facets": len(facets),
+        "degenerate": facets.degenerate,
+        "turned": facets.turned,
+        "closed": facets.closed,
+        "area_mm2": facets.area_mm2,
     }
 
 
@@ -214,18 +255,7 @@ def _coverage(coverage: Coverage) -> dict[str, Any]:
     }
 
 
-def _corrected_pair(
-    field: FieldCorrection, options: argparse.Namespace, clouds: list[Cloud], scans: list[np.ndarray]
-) -> list[np.ndarray]:
-    """Both scans without the scanner's depth error; a SAMPLE that no scanner measured stays as it is."""
-    sample, test = scans
-    if not (options.sample_model or clouds[0].mesh):
-        check_own_frame(options.sample_viewpoint)
-        sample = corrected(field, clouds[0], sample, options.sample, "export it as measured, or say --sample-model")
-    return [sample, corrected(field, clouds[1], test, options.test)]
-
-
-def _from_the_data(options: argparse.Namespace, sample: Cloud, found: Detection) -> dict[str, Any]:
+def _from_the_data(options: argparse.Namespace, found: Detection) -> dict[str, Any]:
     values: dict[str, Any] = {
         "surfel_mm": found.test.surfels.grid.size_mm,
         "voxel_mm": found.test.voxels.grid.size_mm,
@@ -233,7 +263,7 @@ def _from_the_data(options: argparse.Namespace, sample: Cloud, found: Detection)
     }
     if options.unit is None:
         values["unit"] = "mm unless the files say m"
-    if options.field_correction is not None and sample.mesh:
+    if found.model is not None and options.field_correction is not None:
         values["sample-model"] = True
     for name, scan in (("sample", found.sample), ("test", found.test)):
         if getattr(options, f"{name}_viewpoint") is None:

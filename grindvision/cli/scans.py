@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.clouds import Cloud
+    from grindvision.models import Model
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 CLOUD_FORMATS = "PLY, PCD, XYZ, ASC, TXT, PTS, CSV, NPY, NPZ, STL or OBJ"
@@ -37,11 +38,14 @@ FEWEST_PIXELS, NEARLY_ALL = 200, 0.99
 MUCH_OUTSIDE = 0.1
 
 
+UNITS = ("mm", "cm", "m", "in")
+
+
 def add_unit_argument(group: argparse._ArgumentGroup) -> None:
     """``--unit``."""
     group.add_argument(
         "--unit",
-        choices=("mm", "cm", "m", "in"),
+        choices=UNITS,
         help="unit of the numbers in the files (default: what the file says, else mm; asked for where the size of the"
         " cloud leaves it in doubt)",
     )
@@ -152,17 +156,41 @@ def read_scans(paths: Sequence[str], unit: str | None, mirrored: Sequence[str | 
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from grindvision.clouds import check_unit, read_cloud
+    from grindvision.clouds import read_cloud
 
     with ThreadPoolExecutor(len(paths)) as pool:
         clouds = list(pool.map(lambda path: read_cloud(path, unit), paths))
     clouds = [right_handed(cloud, axis) for cloud, axis in zip_longest(clouds, mirrored)]
-    for cloud, path in zip(clouds, paths, strict=True):
-        check_unit(cloud.points, path, unit)
-        for doubt in (_small(cloud, unit), _mirrored(cloud)):
-            if doubt:
-                warnings.warn(f"{path}: {doubt}", GrindvisionWarning, stacklevel=2)
-    return clouds
+    return [_judged(cloud, path, unit) for cloud, path in zip(clouds, paths, strict=True)]
+
+
+def _judged(cloud: Cloud, path: str, unit: str | None) -> Cloud:
+    """The cloud itself, refused or doubted where its size or its pixels say so; as ``read_scans``."""
+    from grindvision.clouds import check_unit
+
+    check_unit(cloud.points, path, unit)
+    for doubt in (_small(cloud, unit), _mirrored(cloud)):
+        if doubt:
+            warnings.warn(f"{path}: {doubt}", GrindvisionWarning, stacklevel=3)
+    return cloud
+
+
+def read_pair(
+    paths: tuple[str, str], units: tuple[str | None, str | None], mirrored: tuple[str | None, str | None]
+) -> tuple[Cloud | Model, Cloud]:
+    """SAMPLE and TEST, as ``read_scans`` has them; the first is a model where its file holds faces: by the second its
+    size is judged later."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from grindvision.models import Model, read_cloud_or_model
+
+    with ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(read_cloud_or_model, paths[0], units[0])
+        (test,) = read_scans(paths[1:], units[1], mirrored[1:])
+        good = reading.result()
+    if isinstance(good, Model):
+        return good if mirrored[0] is None else good.mirrored(mirrored[0]), test
+    return _judged(right_handed(good, mirrored[0]), paths[0], units[0]), test
 
 
 def right_handed(cloud: Cloud, axis: str | None) -> Cloud:
@@ -175,14 +203,15 @@ def right_handed(cloud: Cloud, axis: str | None) -> Cloud:
     return replace(cloud, points=cloud.points * signs, normals=None if cloud.normals is None else cloud.normals * signs)
 
 
-def size_question(names: Sequence[str], clouds: Sequence[Cloud]) -> str:
-    """The size of every cloud in words, so that a file in another unit can be seen."""
-    from grindvision.clouds import extent
+def size_question(names: Sequence[str], clouds: Sequence[Cloud | Model]) -> str:
+    """The size of every cloud or model in words, so that a file in another unit can be seen."""
+    from grindvision.clouds import Cloud, extent
 
-    sizes = [
-        f"{name} {' x '.join(f'{side:.4g}' for side in extent(cloud.points))} mm"
-        for name, cloud in zip(names, clouds, strict=True)
-    ]
+    sizes = []
+    for name, one in zip(names, clouds, strict=True):
+        sides = extent(one.points if isinstance(one, Cloud) else one.corners.reshape(-1, 3))
+        kind = "" if isinstance(one, Cloud) and not one.mesh else " (a mesh)"
+        sizes.append(f"{name} {' x '.join(f'{side:.4g}' for side in sides)} mm{kind}")
     return f"along x, y, z: {', '.join(sizes)}: is that {'its' if len(sizes) == 1 else 'their'} size?"
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 PCD_NORMAL = ("normal_x", "normal_y", "normal_z")
@@ -22,8 +23,8 @@ class Content:
     """Points (N, 3) and, where the file has them, normals (N, 3), in the file's own unit.
 
     ``grid``: (rows, columns) of an organised cloud. ``unit``: ``mm``, ``cm``, ``m`` or ``in``, if it names one.
-    ``note``: what the reader had to decide, for the user to see. ``mesh``: the file holds a surface, not points as a
-    scanner saw them.
+    ``note``: what the reader had to decide, for the user to see. ``triangles`` (T, 3): rows of ``points`` that are
+    corners of the surface's facets, where the file holds a mesh and not points as a scanner saw them.
     """
 
     points: Floats
@@ -31,10 +32,11 @@ class Content:
     grid: tuple[int, int] | None = None
     unit: str | None = None
     note: str = ""
-    mesh: bool = False
+    triangles: Integers | None = None
 
     def __str__(self) -> str:
-        return f"{len(self.points):,} points in {self.unit or 'an unnamed unit'}"
+        faces = "" if self.triangles is None else f", {len(self.triangles):,} triangles"
+        return f"{len(self.points):,} points{faces} in {self.unit or 'an unnamed unit'}"
 
 
 def chosen_columns(names: Sequence[str]) -> tuple[list[int] | None, list[int] | None]:

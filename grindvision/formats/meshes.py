@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -15,6 +16,7 @@ from grindvision.formats.records import numbers, refuse_binary
 from grindvision.input_files import read_rest
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -23,11 +25,6 @@ FEWEST_NORMALS, NEARLY_ALL = 12, 0.99
 
 #: What a triangle takes while its mesh is read: its bytes, strings, corners, edges, and the sorting of its vertices.
 MEMORY_PER_MESH_BYTE = 12.0
-
-#: Vertices stand for the surface where edges longer than this fraction of the diagonal bound little of its area.
-LONG_EDGE, MAX_LONG = 0.02, 0.05
-#: Distance of samples, fraction of the diagonal, and how many there are at most.
-SAMPLE_STEP, MAX_SAMPLES = 1 / 700, 1_000_000
 
 
 def read_stl(path: Path, file: BinaryIO) -> Content:
@@ -46,15 +43,14 @@ def read_stl(path: Path, file: BinaryIO) -> Content:
         table = numbers(path, corners)
         if table.shape[1] != 3:
             raise FileError(f"{path}: a corner has {table.shape[1]} numbers instead of 3; export the mesh again")
-        return _surface(table.reshape(-1, 3, 3))
+        return _indexed(table.reshape(-1, 3, 3))
     if len(data) < 84 + 50 * count:
         raise FileError(
             f"{path}: the header announces {count} triangles, the file holds {max(len(data) - 84, 0)} bytes;"
             " it is cut short or damaged"
         )
     records = np.frombuffer(data, STL_RECORD, count, 84)
-    found = _surface(records["corners"].astype(float))
-    return replace(found, note="; ".join(filter(None, (found.note, _inside_out(records)))))
+    return replace(_indexed(records["corners"].astype(float)), note=_inside_out(records))
 
 
 def _inside_out(records: NDArray[np.void]) -> str:
@@ -84,54 +80,38 @@ def read_obj(path: Path, file: BinaryIO) -> Content:
     vertices = numbers(path, rows)
     if vertices.shape[1] != 3:
         raise FileError(f"{path}: a vertex has {vertices.shape[1]} numbers instead of 3; export the mesh again")
+    faces, so_far = [], 0
     try:
-        faces = [
-            [int(word.split("/", 1)[0]) for word in line.split()[1:]]
-            for line in lines
-            if line.startswith(("f ", "f\t"))
-        ]
+        for line in lines:
+            if line.startswith(("v ", "v\t")):
+                so_far += 1
+            elif line.startswith(("f ", "f\t")):
+                face = [int(word.split("/", 1)[0]) for word in line.split()[1:]]
+                faces.append([at - 1 if at > 0 else so_far + at if at < 0 else -1 for at in face])  # -1 is the last
     except ValueError as error:
         raise FileError(f"{path}: a face is damaged ({error}); export the mesh again") from None
-    if any(index == 0 or abs(index) > len(vertices) for face in faces for index in face):
-        raise FileError(f"{path}: a face names a vertex that is not among the {len(vertices)}; the file is damaged")
-    triangles = np.array([(face[0], *face[k : k + 2]) for face in faces for k in range(1, len(face) - 1)], dtype=int)
-    if len(triangles) == 0:
-        return Content(vertices)
-    at = np.where(triangles > 0, triangles - 1, triangles + len(vertices))
-    return _surface(vertices[at], vertices)
+    triangles = fans(faces)
+    check_faces(path, triangles, len(vertices))
+    return Content(vertices, triangles=triangles if len(triangles) else None)
 
 
-def _surface(triangles: Floats, vertices: Floats | None = None) -> Content:
-    """The vertices where they stand closely enough for the surface (T, 3, 3), else points sampled evenly on it."""
-    if vertices is None:
-        vertices = np.unique(triangles.reshape(-1, 3), axis=0)
-    triangles = triangles[np.isfinite(triangles).all(axis=(1, 2))]
-    edges = np.roll(triangles, -1, axis=1) - triangles
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    areas = np.linalg.norm(normals, axis=1) / 2
-    if len(triangles) == 0 or not 0 < areas.sum() < np.inf:
-        return Content(vertices, mesh=True)
-    diagonal = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0)))
-    long = np.linalg.norm(edges, axis=2).max(axis=1) > LONG_EDGE * diagonal
-    if areas[long].sum() <= MAX_LONG * areas.sum():
-        return Content(vertices, mesh=True)
-    count = int(min(areas.sum() / (SAMPLE_STEP * diagonal) ** 2, MAX_SAMPLES))
-    ends = np.round(np.cumsum(areas) / areas.sum() * count).astype(int)
-    owner = np.repeat(np.arange(len(triangles)), np.diff(ends, prepend=0))
-    return Content(
-        _spread(triangles[owner]),
-        normals[owner] / (2 * areas[owner, None]),
-        note=f"a mesh of {len(triangles):,} triangles too large to stand for its surface by their corners;"
-        f" {len(owner):,} points were spread evenly over it",
-        mesh=True,
-    )
+def fans(faces: Sequence[Sequence[int]]) -> Integers:
+    """Triangles (T, 3) of polygons, each a list of its corners."""
+    triangles = [(face[0], *face[k : k + 2]) for face in faces for k in range(1, len(face) - 1)]
+    return np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
-def _spread(triangles: Floats) -> Floats:
-    """One point in each of (N, 3, 3) triangles, by the additive sequence that fills a square most evenly."""
-    golden = 1.324717957244746
-    first, second = (np.arange(len(triangles))[:, None] * [1 / golden, 1 / golden**2] % 1.0).T
-    over = first + second > 1
-    first, second = np.where(over, 1 - first, first), np.where(over, 1 - second, second)
-    corner, one, other = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return corner + first[:, None] * (one - corner) + second[:, None] * (other - corner)
+def check_faces(path: Path, triangles: Integers, vertices: int) -> None:
+    """Refuse triangles (T, 3) that name others than so many vertices.
+
+    Raises:
+        FileError: they do.
+    """
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < vertices):
+        raise FileError(f"{path}: a face names a vertex that is not among the {vertices}; the file is damaged")
+
+
+def _indexed(corners: Floats) -> Content:
+    """Triangles (T, 3, 3) as vertices, none of them twice, and rows of them."""
+    vertices, rows = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return Content(vertices, triangles=rows.reshape(-1, 3).astype(np.int64))

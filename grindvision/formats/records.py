@@ -65,19 +65,26 @@ def refuse_binary(path: Path, file: BinaryIO) -> None:
         raise FileError(f"{path}: not a plain text table of x y z; save it as UTF-8 text")
 
 
-def text_lines(path: Path, file: BinaryIO, count: int, columns: int) -> list[str]:
-    """The next ``count`` lines of a text table of so many ``columns``.
+def text_lines(path: Path, file: BinaryIO, count: int, columns: int, what: str = "points") -> list[str]:
+    """The next ``count`` lines of a text table of so many ``columns``; the file is then read up to their end.
 
     Raises:
         FileError: the file is too short for what its header announces.
     """
-    left = bytes_left(file)
+    start, left = file.tell(), bytes_left(file)
     if 2 * columns * count > left + 1:
-        raise too_short(path, count, f"the file holds {left} bytes")
-    text = read_rest(path, file, MEMORY_PER_TEXT_BYTE).decode("latin-1").splitlines()
-    lines = [line for line in text if line.strip()][:count]
+        raise too_short(path, count, f"the file holds {left} bytes", what)
+    lines: list[str] = []
+    read = 0
+    for line in read_rest(path, file, MEMORY_PER_TEXT_BYTE).decode("latin-1").splitlines(keepends=True):
+        if len(lines) == count:
+            break
+        read += len(line)
+        if line.strip():
+            lines.append(line)
     if len(lines) < count:
-        raise too_short(path, count, f"the file holds {len(lines)}")
+        raise too_short(path, count, f"the file holds {len(lines)}", what)
+    file.seek(start + read)
     return lines
 
 
@@ -138,9 +145,9 @@ def content_of_records(path: Path, file: BinaryIO, count: int, names: Sequence[s
     return Content(points, normals)
 
 
-def too_short(path: Path, count: int, found: str) -> FileError:
+def too_short(path: Path, count: int, found: str, what: str = "points") -> FileError:
     """The error of a file whose header announces more than it holds."""
-    return FileError(f"{path}: the header announces {count} points, {found}; it is cut short or damaged")
+    return FileError(f"{path}: the header announces {count} {what}, {found}; it is cut short or damaged")
 
 
 def _reason(error: ValueError) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, NoPathError
+from grindvision.models import Model
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
@@ -18,8 +19,10 @@ from grindvision.vision.change.diagnostics import MIN_OVERLAP, NAMES, diagnose
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.model_registration import doubts_of_model, register_to_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
 from grindvision.vision.registration.verification import VerifiedPose
+from grindvision.vision.surface.model_surface import ModelSurface
 from grindvision.vision.surface.scan import Scan
 
 Floats = NDArray[np.float64]
@@ -44,7 +47,8 @@ class Detection:
     """Result of ``detect``; everything but ``T_sample_test`` is in the frame of the test scan.
 
     ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out,
-    ``coverage`` what could not be seen, ``beads`` the paths, largest first; ``timings_s`` the stages' times.
+    ``coverage`` what could not be seen, ``beads`` the paths, largest first; ``timings_s`` the stages' times. Where the
+    sample was a model, ``sample`` is what the test's scanner could see of it, and ``model`` the whole.
     """
 
     sample: Scan
@@ -55,6 +59,7 @@ class Detection:
     coverage: Coverage
     beads: tuple[BeadPath, ...]
     timings_s: dict[str, float] = field(compare=False)
+    model: ModelSurface | None = None
 
     @property
     def T_sample_test(self) -> Floats:
@@ -88,7 +93,7 @@ class Detection:
 
 @one_blas_thread()
 def detect(
-    sample: ArrayLike,
+    sample: ArrayLike | Model,
     test: ArrayLike,
     options: DetectOptions | None = None,
     finished: Callable[[str], None] | None = None,
@@ -98,7 +103,8 @@ def detect(
     The stages: voxels and surfels, normals and FPFH, first alignment (SAC-IA), verification, ICP, difference, paths.
 
     Args:
-        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame.
+        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame, or its ``Model``: of that, what
+            the test's scanner could see is compared.
         test: scan of the part to be ground, points (M, 3) in mm in its own scanner's frame.
         options: path points per bead, seed, viewpoints; see ``DetectOptions``.
         finished: is told the name of each stage (``STAGES``) when it is done.
@@ -127,13 +133,20 @@ def detect(
     if options.points < 1:
         raise InputError(f"{options.points} path points asked for; at least 1 is needed")
     clock = StageClock(finished)
+    surface = None
     viewpoints_mm = options.viewpoint_test_mm, options.viewpoint_sample_mm
-    found = register_pair(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
+    rng = np.random.default_rng(options.seed)
+    if isinstance(sample, Model):
+        to_model = register_to_model(test, sample, viewpoints_mm[0], rng, clock, NAMES)
+        found, surface = to_model.registration, to_model.surface
+    else:
+        found = register_pair(test, sample, viewpoints_mm, rng, clock, NAMES)
     difference = find_change(found.source, found.target, found.fine)
     clock.lap("difference")
     coverage = find_coverage(found.source, found.target, found.fine, difference)
     against = diagnose(found.source, found.target, found.fine, difference, options.seed)
     against += _unseen(found, difference, coverage)
+    against += () if surface is None else doubts_of_model(surface.facets)
     try:
         beads = _follow(difference, options.points)
     except DegenerateError as error:
@@ -141,7 +154,10 @@ def detect(
     clock.lap("path")
     for sentence in against:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
-    return Detection(found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s)
+    times_s = clock.laps_s
+    return Detection(
+        found.target, found.source, found.coarse, found.fine, difference, coverage, beads, times_s, surface
+    )
 
 
 def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:

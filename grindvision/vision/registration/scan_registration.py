@@ -221,7 +221,7 @@ def propose(source: Scan, target: Scan, rng: np.random.Generator) -> tuple[Scan,
     Returns the source, reversed if that fits better, and the poses.
     """
     poses, votes = propose_poses(source.keypoints, target.keypoints, rng)
-    if target.viewpoint_mm is None or source.viewpoint_mm is None:
+    if not all(scan.sided or scan.viewpoint_mm is not None for scan in (source, target)):
         other = reversed_scan(source)
         try:
             other_poses, other_votes = propose_poses(other.keypoints, target.keypoints, rng)

@@ -46,7 +46,8 @@ class Scan:
     """A scan (N, 3) in its scanner's frame with what the stages need.
 
     ``viewpoint_mm`` (3,) is the scanner, None where it is not known; then the side the normals point to is a guess.
-    ``surfels`` are fine, ``voxels`` coarse; ``features`` (M, 33) are the voxels' FPFH, (M, 0) where left out.
+    ``surfels`` are fine, ``voxels`` coarse; ``features`` (M, 33) are the voxels' FPFH, (M, 0) where left out;
+    ``sided``: the normals are known to point outwards without a viewpoint, as a model's are.
     """
 
     points: Floats
@@ -54,6 +55,7 @@ class Scan:
     surfels: Surfels
     voxels: Surfels
     features: Floats
+    sided: bool = False
 
     @property
     def keypoints(self) -> Keypoints:
