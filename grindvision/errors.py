@@ -89,8 +89,8 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in words)
 
 
-def _without_middle(text: str, most: int) -> str:
-    if len(text) <= most:
+def _without_middle(text: str, max_length: int) -> str:
+    if len(text) <= max_length:
         return text
-    head = (most - 3) * 3 // 5
-    return f"{text[:head]}...{text[head + 3 - most :]}"
+    head = (max_length - 3) * 3 // 5
+    return f"{text[:head]}...{text[head + 3 - max_length :]}"

@@ -281,6 +281,6 @@ def _floats(path: Path, table: pd.DataFrame, column: str) -> pd.Series:
     return values
 
 
-def _listed(names: Iterable[str], most: int = 16) -> str:
+def _listed(names: Iterable[str], max_names: int = 16) -> str:
     names = list(names)
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(names[:max_names]) + (f" and {len(names) - max_names} more" if len(names) > max_names else "")

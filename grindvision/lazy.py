@@ -44,3 +44,17 @@ def lazy_names(
 
 def _of(package: str, name: str) -> Any:
     return getattr(import_module(package), name)
+
+
+def renamed_property(old: str, new: str) -> property:
+    """A property that is called otherwise now: it works and raises a ``DeprecationWarning``."""
+
+    def get(self: object) -> Any:
+        warnings.warn(
+            f"{type(self).__name__}.{old} is now {new}; the old name goes with the next version",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(self, new)
+
+    return property(get, doc=f"Old name of ``{new}``.")

@@ -15,7 +15,7 @@ from grindvision.calibration import (
     Measurements,
     Options,
     calibrate,
-    doubt_about,
+    diagnose_trust,
     error_statistics,
     foreseen_errors,
     read_measurements,
@@ -117,7 +117,7 @@ def test_errors_foreseen_tell_near_from_far_and_suggested_poses_help(rng):
     result = calibrate(replace(made.measurements, q_rad=q, tracker_mm=tracker), ur5())
     foreseen = foreseen_errors(result, rng, count=300)
     assert foreseen.mean_mm > 5 * foreseen.measured_mean_mm
-    assert doubt_about(foreseen, 0.08) and not doubt_about(foreseen, 10.0)
+    assert diagnose_trust(foreseen, 0.08) and not diagnose_trust(foreseen, 10.0)
     true = made.cell.points_tracker(foreseen.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
     found = result.cell.points_tracker(foreseen.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
     actual = np.linalg.norm(found - true, axis=1).mean()

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from nbformat.v4 import new_code_cell, new_notebook, writes
 
 from grindvision.cli import main
-from grindvision.cli.scans import pose_doubts, read_pose, read_scans
+from grindvision.cli.scans import diagnose_pose, read_pose, read_scans
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.errors import FileError, GrindvisionError, InputError, clipped, one_line
 from grindvision.files import read_json, read_table, sha256, write_json
@@ -595,15 +595,15 @@ def test_the_questions_stand_in_the_report_and_on_stdout(good, tmp_path, capfd):
 )
 def test_poses_that_place_the_part_where_none_can_be_are_told(pose, words):
     points = np.random.default_rng(0).normal(size=(500, 3)) * [60, 40, 3] + [0, 0, 600]
-    found = pose_doubts(pose, points)
+    found = diagnose_pose(pose, points)
     assert len(found) == bool(words) and words in "".join(found)
 
 
 def test_an_inverted_pose_is_named_where_only_its_inverse_places_the_part_in_reach():
     true = rigid(np.array([[0, -0.6, -0.8], [-1, 0, 0], [0, 0.8, -0.6]]), [1400.0, 0, 700])
     points = np.random.default_rng(0).normal(size=(500, 3)) * [60, 40, 3] + [0, 0, 1100]
-    assert pose_doubts(true, points) == []
-    found = pose_doubts(np.linalg.inv(true), points)
+    assert diagnose_pose(true, points) == []
+    found = diagnose_pose(np.linalg.inv(true), points)
     assert len(found) <= 1 and all("is it T_scanner_base?" in text for text in found)
 
 

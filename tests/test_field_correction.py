@@ -27,7 +27,7 @@ from grindvision.vision.depth_calibration.grid_smoothing import (
     smooth_grid,
     spline_matrix,
 )
-from grindvision.vision.depth_calibration.plate_checks import plate_doubts
+from grindvision.vision.depth_calibration.plate_checks import diagnose_plates
 from grindvision_book.chapter_11.waypoints import PLATES_MM, depth_left, plate_scans
 
 STEPS_MM = np.array([0.0, 20.0, 40.0, 60.0])
@@ -294,7 +294,7 @@ def test_plates_that_contradict_their_steps_are_named_with_the_size():
         (good, STEPS_MM * 16 / 15, None, r"0\.93\d mm for each mm of the steps"),
         (good, STEPS_MM, FIRST_MM + 10, r"430 lies (10\.\d|9\.\d) mm behind the first plate's points"),
     ):
-        (doubt,) = plate_doubts(clouds, steps, first)
+        (doubt,) = diagnose_plates(clouds, steps, first)
         assert re.search(said, doubt), doubt
     with pytest.raises(InputError, match="is tilted by"):
         calibrate_field(steadily_tilted(0.8), STEPS_MM)
@@ -304,5 +304,5 @@ def test_plates_that_contradict_their_steps_are_named_with_the_size():
 def test_good_plates_raise_no_doubt(serial):
     camera, rng = cell.DepthCamera(serial=serial + 20), np.random.default_rng(serial)
     for stands in (PLATES_MM, PLATES_MM[:4]):
-        assert plate_doubts(plate_scans(camera, rng, stands), stands - stands[0], stands[0]) == ()
-    assert plate_doubts(plates(waves)[:1], [0.0], FIRST_MM) == ()
+        assert diagnose_plates(plate_scans(camera, rng, stands), stands - stands[0], stands[0]) == ()
+    assert diagnose_plates(plates(waves)[:1], [0.0], FIRST_MM) == ()

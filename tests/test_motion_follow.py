@@ -221,7 +221,7 @@ def test_the_motion_backs_off_along_the_tool_and_stays_clear(ur3, motion):
         assert back[:3, 3] == pytest.approx(touching[:3, 3] - 40 * touching[:3, 2], abs=1e-2)
         assert np.allclose(back[:3, :3], touching[:3, :3], atol=1e-4)
     assert len(motion.clearance.distance_mm) == len(motion.path.q_rad) + 2
-    assert motion.clearance.least_mm >= 2.0
+    assert motion.clearance.min_mm >= 2.0
 
 
 @pytest.mark.parametrize("tool_speed_mm_s", [8.0, 60.0, 2000.0])
@@ -243,7 +243,7 @@ def test_limits_hold_between_grid_points_on_a_jagged_path(ur3, motion, rng):
     timing = time_law(path, ur3.limits, 100.0, samples=8001)
     assert (np.abs(timing.speed_rad_s) <= ur3.limits.speed_rad_s).all()
     assert (np.abs(timing.acceleration_rad_s2) <= ur3.limits.acceleration_rad_s2).all()
-    assert timing.steady_share < 0.5  # the joints, not the torch, set the pace
+    assert timing.steady_fraction < 0.5  # the joints, not the torch, set the pace
 
 
 def test_the_time_law_is_consistent_with_itself_and_the_path(ur3, motion):
@@ -253,8 +253,8 @@ def test_the_time_law_is_consistent_with_itself_and_the_path(ur3, motion):
     )
     at_way_points = np.stack([np.interp(timing.waypoint_time_s, timing.time_s, q) for q in timing.q_rad.T], axis=1)
     assert np.abs(at_way_points - motion.path.q_rad).max() < 1e-3
-    assert timing.steady_share > 0.97  # a slow torch runs steadily but for the two ends
-    assert time_law(motion.path, ur3.limits, 2000.0).steady_share == 0.0
+    assert timing.steady_fraction > 0.97  # a slow torch runs steadily but for the two ends
+    assert time_law(motion.path, ur3.limits, 2000.0).steady_fraction == 0.0
 
 
 def test_between_way_points_the_tool_stays_on_the_seam(ur3, motion):

@@ -4,7 +4,13 @@ from scipy.spatial.transform import Rotation
 
 from grindvision.errors import DegenerateError, InputError, NotRigidError
 from grindvision.geometry import move_points, random_rotation, rigid, rotate_vectors, vector_angle
-from grindvision.motion import ToolTrajectoryOptions, Trajectory, slowly_turning, tool_trajectory, turning_rad_s
+from grindvision.motion import (
+    ToolTrajectoryOptions,
+    Trajectory,
+    angular_speed_rad_s,
+    limit_angular_speed,
+    tool_trajectory,
+)
 from tests.motion_scene import ring, s_trajectory, seam
 
 
@@ -170,13 +176,13 @@ def test_a_bound_on_turning_is_kept_by_steadying_and_refused_where_the_seam_bend
     up = np.tile([0.0, 0.0, 1.0], (51, 1)) + 0.03 * rng.normal(size=(51, 3))
     options = ToolTrajectoryOptions(travel_angle_rad=-0.2)
     rough, bound = tool_trajectory(way, up, options), np.radians(1.0)
-    calm = slowly_turning(way, up, options, 8.0, bound)
-    assert turning_rad_s(rough, 8.0) > 5 * bound and turning_rad_s(calm, 8.0) <= bound
+    calm = limit_angular_speed(way, up, options, 8.0, bound)
+    assert angular_speed_rad_s(rough, 8.0) > 5 * bound and angular_speed_rad_s(calm, 8.0) <= bound
     np.testing.assert_array_equal(calm.positions_mm, way)
-    assert slowly_turning(way, up, options, 8.0, 100.0) == rough  # nothing is steadied without need
+    assert limit_angular_speed(way, up, options, 8.0, 100.0) == rough  # nothing is steadied without need
     angle = np.linspace(0.0, np.pi, 40)
     arch = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), 0 * angle])
     with pytest.raises(InputError, match=r"the seam itself turns the tool at .* weld slower"):
-        slowly_turning(arch, np.tile([0.0, 0.0, 1.0], (40, 1)), options, 8.0, np.radians(2.0))
+        limit_angular_speed(arch, np.tile([0.0, 0.0, 1.0], (40, 1)), options, 8.0, np.radians(2.0))
     with pytest.raises(InputError, match="give both above 0"):
-        slowly_turning(way, up, options, 8.0, 0.0)
+        limit_angular_speed(way, up, options, 8.0, 0.0)

@@ -24,7 +24,15 @@ def test_every_name_of_a_face_is_there(face):
         assert all(getattr(module, name) is not None for name in module.__all__)
 
 
-@pytest.mark.parametrize(("face", "old", "new"), [("geometry", "turn_vectors", "rotate_vectors")])
+@pytest.mark.parametrize(
+    ("face", "old", "new"),
+    [
+        ("geometry", "turn_vectors", "rotate_vectors"),
+        ("motion", "slowly_turning", "limit_angular_speed"),
+        ("motion", "turning_rad_s", "angular_speed_rad_s"),
+        ("calibration", "doubt_about", "diagnose_trust"),
+    ],
+)
 def test_an_old_name_works_and_warns(face, old, new):
     module = importlib.import_module(f"grindvision.{face}")
     with pytest.warns(DeprecationWarning, match=new):
@@ -142,8 +150,7 @@ def test_every_command_has_a_function():
 
 
 def test_no_draw_has_a_seed_of_its_own():
-    """Each comes from an argument, but for a quick look of the virtual cell, whose noise is not used, and the inputs
-    that kernels are compiled with, whose results are thrown away."""
+    """Each comes from an argument, but for the inputs that kernels are compiled with, whose results are thrown away."""
     fixed = re.compile(r"default_rng\(\s*\d*\s*\)|RandomState|np\.random\.(?!default_rng|Generator|SeedSequence)")
     package = Path(grindvision.__file__).parent
     found = {
@@ -152,4 +159,4 @@ def test_no_draw_has_a_seed_of_its_own():
         for line in file.read_text(encoding="utf-8").splitlines()
         if fixed.search(line) and ">>>" not in line
     }
-    assert found <= {"cell/experiment4.py", "cli/compile.py"}
+    assert found <= {"cli/compile.py"}

@@ -11,7 +11,7 @@ from grindvision.calibration.accurate import (
 from grindvision.calibration.beyond_geometry import BeyondGeometry
 from grindvision.calibration.coarse import CoarseCalibration, best_fit, coarse_start, three_point
 from grindvision.calibration.estimate import Sigmas, noise_covariances, residuals_of, unit_sizes, whitened_jacobian
-from grindvision.calibration.held_out import HeldOut, cross_validated, on_test_rows
+from grindvision.calibration.held_out import HeldOut, cross_validated, evaluate, on_test_rows
 from grindvision.calibration.holding import Verification, VerifyOptions, read_cell, verify
 from grindvision.calibration.identifiability import Identifiability, analyse, correlations
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm
@@ -33,7 +33,8 @@ from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.sphere_centres import find_sphere, noise_clumping
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding
-from grindvision.calibration.trust import Foreseen, Suggestion, doubt_about, foreseen_errors, suggest_poses
+from grindvision.calibration.trust import Foreseen, Suggestion, diagnose_trust, foreseen_errors, suggest_poses
+from grindvision.lazy import lazy_names
 
 __all__ = [
     "COVARIANCE_COLUMNS",
@@ -65,9 +66,10 @@ __all__ = [
     "correlations",
     "cross_validated",
     "design_matrix",
-    "doubt_about",
+    "diagnose_trust",
     "entry_name",
     "error_statistics",
+    "evaluate",
     "find_sphere",
     "foreseen_errors",
     "joint_jacobian",
@@ -88,3 +90,5 @@ __all__ = [
     "verify",
     "whitened_jacobian",
 ]
+
+_, __getattr__ = lazy_names(__name__, {}, {"doubt_about": "diagnose_trust"})

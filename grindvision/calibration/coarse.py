@@ -73,9 +73,9 @@ def best_fit(
     """
     if measurements.fixtures or measurements.reflectors:
         return _touching_fit(measurements, arm, base_fixed, robust)
-    least = 3 if base_fixed else 4
-    if len(measurements) < least:
-        raise DegenerateError(f"{len(measurements)} measurements; a coarse calibration needs at least {least}")
+    min_rows = 3 if base_fixed else 4
+    if len(measurements) < min_rows:
+        raise DegenerateError(f"{len(measurements)} measurements; a coarse calibration needs at least {min_rows}")
     scanner = 3 if measurements.on_tool else 6
     if scanner == 6:
         _refuse_line(measurements.scanner_mm, "scanner")
@@ -141,8 +141,8 @@ def _workpiece_frame(points: Floats, name: str) -> Floats:
 
 
 def _refuse_line(points: Floats, name: str) -> None:
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    angle = np.degrees(np.arctan2(spread[1], spread[0]))
+    singular_values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    angle = np.degrees(np.arctan2(singular_values[1], singular_values[0]))
     if angle < SMALLEST_ANGLE_DEG / 3:
         raise DegenerateError(
             f"the spheres in the {name} frame lie on one line within {angle:.2g} deg; the turn about it is free:"

@@ -73,13 +73,13 @@ def check_fit(
             f"the fit moved {name} by {change.max():.4g} mm, which no arm of this table does; check the table, the unit"
             " of every column (mm, m, inches?) and which joint carries the scanner"
         )
-    turned = np.abs((cell.arm.table - coarse.arm.table)[:, 0])
-    turned = np.minimum(turned, np.abs(2 * np.pi - turned))
-    if typical <= SUSPICIOUS_MM and turned.max() > OTHER_AXIS_RAD:
-        axis = int(np.argmax(turned))
+    alpha_change = np.abs((cell.arm.table - coarse.arm.table)[:, 0])
+    alpha_change = np.minimum(alpha_change, np.abs(2 * np.pi - alpha_change))
+    if typical <= SUSPICIOUS_MM and alpha_change.max() > OTHER_AXIS_RAD:
+        axis = int(np.argmax(alpha_change))
         raise InputError(
-            f"the fit turned {entry_name(5 * axis)} by {np.degrees(turned.max()):.0f} deg, which no arm of this table"
-            f" does; check which of q1 to q{max(axis + 1, 2)} count the other way round, and the table"
+            f"the fit turned {entry_name(5 * axis)} by {np.degrees(alpha_change.max()):.0f} deg, which no arm of this"
+            f" table does; check which of q1 to q{max(axis + 1, 2)} count the other way round, and the table"
         )
     if typical <= SUSPICIOUS_MM and kept.mean() > 0.7:
         return moved
@@ -161,14 +161,14 @@ def _explain(
     if after < 0.2 * before or median_after < 0.2 * median_before:
         others = [one[1][0].reason for one in chains[1:] if len(one[1]) == len(chain) and one[0] < 1.1 * best[0]]
         same = [reason for reason in dict.fromkeys(others) if reason != chain[0].reason]
-        doubt = f" (or, as good: {same[0]})" if same and len(chain) == 1 else ""
+        alternative = f" (or, as good: {same[0]})" if same and len(chain) == 1 else ""
         rest = ""
         if after > 5 * max(median_after, 1.0):
             rest = f"; yet {(left > 5 * max(median_after, 1.0)).mean():.0%} of the rows stay off, so it is not all"
         shown = (median_before, median_after) if median_after < 0.5 * median_before else (before, after)
         what = "table" if chain[0].arm is not None else "columns"
         raise chain[0].kind(
-            f"{' and '.join(mistake.reason for mistake in chain)}{doubt}: then the nominal arm leaves"
+            f"{' and '.join(mistake.reason for mistake in chain)}{alternative}: then the nominal arm leaves"
             f" {shown[1]:.2f} mm instead of {shown[0]:.1f} mm{rest}; mend the {what}"
         )
 

@@ -141,8 +141,8 @@ def _coupling(
         agree = float((errors < max(8 * typical, AGREES_MM)).mean())
         return agree, float(np.exp(np.log(errors + 0.1 * typical).mean())), fit
 
-    _, least, _ = fitted((), ())
-    least *= BETTER
+    _, min_error, _ = fitted((), ())
+    min_error *= BETTER
     found = ""
     for pair in coupling_terms(cell.arm):
         for term in (pair, replace(pair, joint=pair.source, source=pair.joint)):
@@ -151,8 +151,8 @@ def _coupling(
                     agree, error, fit = fitted((term,), (begin,))
                 except GrindvisionError:
                     continue
-                if agree > 0.95 and error < least:
-                    least, factor = error, fit.corrections.values[0]
+                if agree > 0.95 and error < min_error:
+                    min_error, factor = error, fit.corrections.values[0]
                     found = (
                         f"joint {term.joint + 1} is coupled to joint {term.source + 1}: with q{term.joint + 1} ="
                         f" q{term.joint + 1} {factor:+.4g} q{term.source + 1} {agree:.0%} of the rows agree; mend the"

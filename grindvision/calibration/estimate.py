@@ -29,7 +29,7 @@ FREE_MM = 1e4
 DISTANCE_MM = 0.01
 
 #: A prismatic joint repeats to so many mm where a revolute one repeats to one rad: 0.02 mm for 4e-5 rad.
-SLIDE_MM_PER_RAD = 500.0
+PRISMATIC_MM_PER_RAD = 500.0
 
 #: Rows that the noise is learnt from: more of them change it by less than it is known (2 %).
 MAX_NOISE_ROWS = 2000
@@ -70,8 +70,8 @@ def unit_sizes(measurements: Measurements, unknowns: Unknowns) -> Floats:
     tracked = measurements.tracker_mm[measurements.tracked]
     if not len(tracked):
         tracked = np.full((1, 3), 1.0) * [[-300.0], [300.0]]
-    spread = tracked - tracked.mean(axis=0)
-    far = np.sqrt((spread**2).sum(axis=1).mean()) + np.sqrt((measurements.scanner_mm**2).sum(axis=1).mean())
+    centred = tracked - tracked.mean(axis=0)
+    far = np.sqrt((centred**2).sum(axis=1).mean()) + np.sqrt((measurements.scanner_mm**2).sum(axis=1).mean())
     return np.where(unknowns.is_angle, 1 / max(far, 1.0), 1.0)
 
 
@@ -84,8 +84,8 @@ def noise_covariances(cell: ScannerOnArm, measurements: Measurements, sigmas: Si
 
 def joint_noise_jacobian(points: CarriedPoints) -> Floats:
     """How one unit of joint noise moves each point, (M, 3, n): a radian, or what a prismatic joint has instead."""
-    slides = points.cell.arm.prismatic
-    return points.jacobian() * np.where(slides, SLIDE_MM_PER_RAD, 1.0) if any(slides) else points.jacobian()
+    prismatic = points.cell.arm.prismatic
+    return points.jacobian() * np.where(prismatic, PRISMATIC_MM_PER_RAD, 1.0) if any(prismatic) else points.jacobian()
 
 
 def row_covariances(points: CarriedPoints, measurements: Measurements, sigmas: Sigmas) -> Floats:
@@ -283,8 +283,8 @@ def _noise(jacobian: Floats, sigmas: Sigmas) -> Floats:
 def _known_covariances(points: CarriedPoints, measurements: Measurements, free: Floats | None) -> Floats:
     known = measurements.tracker_std_mm**2 * np.eye(3)[None]
     if measurements.scanner_covariance_mm2 is not None:
-        turn = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]
-        known = known + turn @ measurements.scanner_covariance_mm2 @ np.swapaxes(turn, 1, 2)
+        R_tracker_scanner = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]
+        known = known + R_tracker_scanner @ measurements.scanner_covariance_mm2 @ np.swapaxes(R_tracker_scanner, 1, 2)
     return known if free is None else known + FREE_MM**2 * free
 
 

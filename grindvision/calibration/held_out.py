@@ -48,6 +48,11 @@ class HeldOut:
         """Statistics after calibration with joint terms; None without them."""
         return None if self.beyond_mm is None else error_statistics(self.beyond_mm)
 
+    @property
+    def improved(self) -> bool:
+        """Whether held-out rows are nearer after calibration than before."""
+        return self.after.mean < self.before.mean
+
     def part(self, chosen: NDArray[np.bool_]) -> HeldOut:
         """The held-out rows marked by ``chosen`` (H,) alone."""
         beyond = None if self.beyond_mm is None else self.beyond_mm[chosen]
@@ -55,6 +60,24 @@ class HeldOut:
 
     def __str__(self) -> str:
         return f"unseen: {self.after}; before: mean {self.before.mean:.3f} mm; {self.how}"
+
+
+def evaluate(calibration: Calibration, options: Options) -> tuple[Calibration, HeldOut]:
+    """Errors on held-out rows: the test rows of the measurements, or by cross-validation where all are training rows.
+
+    Returns:
+        The calibration, without joint terms that do not lower the held-out error, and the errors.
+
+    Raises:
+        DegenerateError: no test rows, and too few rows to hold some out (``cross_validated``).
+    """
+    if calibration.measurements.train.all():
+        errors = cross_validated(calibration, options, seed=options.seed)
+    else:
+        errors = on_test_rows(calibration)
+    if errors.beyond is not None and errors.beyond.mean >= errors.after.mean:
+        return replace(calibration, beyond=None), replace(errors, beyond_mm=None)
+    return calibration, errors
 
 
 @one_blas_thread()

@@ -72,14 +72,14 @@ def analyse(
     triangle = np.linalg.qr(matrix * units, mode="r")
     values, rows = np.linalg.svd(triangle, full_matrices=True)[1:]
     values = np.concatenate([values, np.zeros(len(names) - len(values))])
-    least = max(tolerance * values[0], 1 / worst_std)
-    rank = int((values > least).sum())
+    min_value = max(tolerance * values[0], 1 / worst_std)
+    rank = int((values > min_value).sum())
     diagonal = np.abs(np.diag(qr(triangle, mode="r", pivoting=True)[0]))
     null_space = _sparse_basis(rows[rank:].T)
     known = np.abs(null_space).max(axis=1, initial=0) < 1e-3
     null_space = null_space * units[:, None]
     sentences = _sentences(null_space, names)
-    return Identifiability(names, values, rank, int((diagonal > least).sum()), null_space, known, sentences)
+    return Identifiability(names, values, rank, int((diagonal > min_value).sum()), null_space, known, sentences)
 
 
 def correlations(covariance: ArrayLike, known: ArrayLike) -> Floats:
@@ -102,8 +102,8 @@ def _sparse_basis(basis: Floats) -> Floats:
         rest[pivots] = 0
         pivot = int(np.argmax(rest > 0.5 * rest.max()))
         pivots.append(pivot)
-        turn = echelon[pivot, column:]
-        swap = column + int(np.argmax(np.abs(turn)))
+        row = echelon[pivot, column:]
+        swap = column + int(np.argmax(np.abs(row)))
         echelon[:, [column, swap]] = echelon[:, [swap, column]]
         echelon[:, column] /= echelon[pivot, column]
         others = [c for c in range(echelon.shape[1]) if c != column]

@@ -69,8 +69,8 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
     revolute = ~np.array(arm.prismatic)
     largest = np.where(revolute, np.abs(measurements.q_rad).max(axis=0), 0.0)
     joint = int(np.argmax(largest))
-    turns = np.ptp(measurements.q_rad[:, joint])
-    if largest[joint] > 2 * np.pi + 0.01 and not (largest[joint] < 20 * np.pi and turns < 2 * np.pi):
+    range_rad = np.ptp(measurements.q_rad[:, joint])
+    if largest[joint] > 2 * np.pi + 0.01 and not (largest[joint] < 20 * np.pi and range_rad < 2 * np.pi):
         raise UnitError(
             f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: these look like degrees; give radians, or name it"
             f" q{joint + 1}_deg"

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 DOWN = (0.0, 0.0, -1.0)
 
 #: A torque that varies by less than this fraction of the largest one of the arm tells nothing: a vertical axis.
-LEAST_TORQUE = 0.02
+MIN_TORQUE = 0.02
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class GravityLoad:
         for joint in range(self.arm.n):
             arms = np.cross(centres[..., joint:, :] - origins[..., joint, None, :], down)
             force = np.einsum("...kj,...j,k->...", arms, axes[..., joint, :], masses[joint:])
-            slides = np.einsum("...j,j->...", axes[..., joint, :], down) * masses[joint:].sum()
-            torques[..., joint] = slides if self.arm.prismatic[joint] else force
+            along_axis = np.einsum("...j,j->...", axes[..., joint, :], down) * masses[joint:].sum()
+            torques[..., joint] = along_axis if self.arm.prismatic[joint] else force
         reach = float(np.hypot(self.arm.table[:, 1], self.arm.table[:, 2]).sum()) or 1.0
         return torques / (reach * masses.sum())
 
@@ -139,7 +139,7 @@ def wave_terms(arm: MdhArm, orders: Sequence[float] = (1.0, 2.0)) -> tuple[Joint
 def sag_terms(load: GravityLoad, q_rad: ArrayLike) -> tuple[JointTerm, ...]:
     """Compliance of every joint whose torque of gravity varies over the angles (M, n) that were measured."""
     torques = load.torques(q_rad)
-    varies = np.ptp(torques, axis=0) > LEAST_TORQUE
+    varies = np.ptp(torques, axis=0) > MIN_TORQUE
     return tuple(JointTerm(int(joint), "sag", load=load) for joint in np.flatnonzero(varies))
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.starts import slide_along
+from grindvision.calibration.starts import track_direction
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def track_left_out(measurements: Measurements, arm: MdhArm, columns: Mapping[str
     for name, travel in columns.items():
         if len(travel) != len(measurements) or np.ptp(travel) < 1e-9:
             continue
-        direction, without, left = slide_along(measurements, arm, travel)
+        direction, without, left = track_direction(measurements, arm, travel)
         length = float(np.linalg.norm(direction))
         unit = next((unit for unit, mm in UNITS_MM.items() if abs(np.log(length / mm)) < UNIT_TOLERANCE), "")
         if unit and left < best * without:

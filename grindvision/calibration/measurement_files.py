@@ -94,13 +94,13 @@ def read_measurements(
     seen = [] if not any(re.fullmatch("s[xyz]_m?m", name) for name in names) else ["sx_mm", "sy_mm", "sz_mm"]
     measured = [] if touching and not tracked else ["bx_mm", "by_mm", "bz_mm"]
     covariances = list(COVARIANCE_COLUMNS) if set(COVARIANCE_COLUMNS) <= names else []
-    turning = _orientation_columns(names)
+    orientation = _orientation_columns(names)
     own = dict(columns)
     for name in angles:  # a mapping of a joint goes before the file's own column of that joint in another unit
         given = [ours for ours in columns if ours.startswith(name.partition("_")[0] + "_")]
         if given and given[0] != name and given[0].replace("_deg", "_rad").replace("_m", "_mm") == name:
             own[given[0]] = columns[given[0]]
-    table = read_table(path, (*angles, *seen, *measured, *covariances, *turning), texts, own)
+    table = read_table(path, (*angles, *seen, *measured, *covariances, *orientation), texts, own)
     labels = {name: _label_column(table, name) for name in texts}
     q_rad = table[angles].to_numpy(dtype=float)
     pose = labels.get("pose", first_visits(q_rad).astype(str))
@@ -121,7 +121,7 @@ def read_measurements(
     scanner = table[seen].to_numpy(dtype=float) if seen else np.zeros((len(table), 3))
     tracker = table[measured].to_numpy(dtype=float) if measured else np.zeros((len(table), 3))
     result = Measurements(q_rad, scanner, tracker, **values)
-    return _with_orientations(result, table, turning) if turning else result
+    return _with_orientations(result, table, orientation) if orientation else result
 
 
 def unused_columns(path: str | Path, columns: Mapping[str, str] | None = None) -> dict[str, Floats]:
@@ -179,14 +179,14 @@ def _with_orientations(measurements: Measurements, table: pd.DataFrame, columns:
             raise InputError(
                 f"row {row + 1}: the quaternion bqw .. bqz has length {lengths[row]:.3g}, which is no turn"
             )
-        turns = Rotation.from_quat(numbers[:, [1, 2, 3, 0]]).as_matrix()
+        rotations = Rotation.from_quat(numbers[:, [1, 2, 3, 0]]).as_matrix()
     else:
-        turns = Rotation.from_rotvec(numbers).as_matrix()
+        rotations = Rotation.from_rotvec(numbers).as_matrix()
     levers = np.vstack([np.zeros(3), LEVER_MM * np.eye(3)])
     rows = np.repeat(np.arange(len(measurements)), 4)
     every = measurements.rows(rows)
     scanner = measurements.scanner_mm[:, None, :] + levers
-    tracker = measurements.tracker_mm[:, None, :] + np.einsum("mij,kj->mki", turns, levers)
+    tracker = measurements.tracker_mm[:, None, :] + np.einsum("mij,kj->mki", rotations, levers)
     from dataclasses import replace
 
     return replace(every, scanner_mm=scanner.reshape(-1, 3), tracker_mm=tracker.reshape(-1, 3))

@@ -218,10 +218,10 @@ class CarriedPoints:
             columns.append(self._base_jacobian()[..., [term.joint for term in unknowns.terms]])
             columns[-1] = columns[-1] * bases_of(unknowns.terms, self.q_rad)[..., None, :]
         if unknowns.reflectors:
-            turned = self.frames[..., -1, :3, :3] @ self.cell.T_joint_scanner[:3, :3]
+            rotated = self.frames[..., -1, :3, :3] @ self.cell.T_joint_scanner[:3, :3]
             own = np.equal.outer(self.reflector, np.arange(len(unknowns.reflectors)))
-            blocks = own[:, None, :, None] * turned[:, :, None, :]
-            columns.append(blocks.reshape(*turned.shape[:-1], -1))
+            blocks = own[:, None, :, None] * rotated[:, :, None, :]
+            columns.append(blocks.reshape(*rotated.shape[:-1], -1))
         if unknowns.fixtures:
             columns.append(self.cell.T_tracker_base[:3, :3].T @ self._fixture_columns(unknowns))
         if unknowns.base:

@@ -57,8 +57,8 @@ def find_sphere(
             )
         fit = fit_sphere(points[used], radius_mm)
         left = fit.distance(points[used])
-        spread = 1.4826 * np.median(np.abs(left - np.median(left)))
-        used[np.flatnonzero(used)[np.abs(left) > max(4 * spread, 1e-9)]] = False
+        sigma = 1.4826 * np.median(np.abs(left - np.median(left)))
+        used[np.flatnonzero(used)[np.abs(left) > max(4 * sigma, 1e-9)]] = False
     fit = fit_sphere(points[used], radius_mm)
     covariance = fit.centre_covariance * noise_clumping(points[used], fit)
     return replace(fit, centre_covariance=covariance, inliers=used)

@@ -43,8 +43,8 @@ def cut_out_sphere(points_camera: ArrayLike, diameter_mm: float, rng: np.random.
             found = None
         if found is not None and _is_a_cap(crop, found):
             free = fit_sphere(crop[found.inliers])
-            doubt = 4 * free.rms_mm + RADIUS_TOLERANCE * radius
-            if abs(free.radius_mm - radius) <= doubt:
+            tolerance_mm = 4 * free.rms_mm + RADIUS_TOLERANCE * radius
+            if abs(free.radius_mm - radius) <= tolerance_mm:
                 return found
             raise DegenerateError(
                 f"{name}: the sphere in it has a diameter of {2 * free.radius_mm:.1f} mm, not {diameter_mm:g} mm; mend"
@@ -63,7 +63,7 @@ def _search(points: Floats, radius: float, threshold: float, rng: np.random.Gene
     """
     tree = cKDTree(points)
     judges = points if len(points) <= JUDGES else points[rng.choice(len(points), JUDGES, replace=False)]
-    best, most = None, 0
+    best, max_count = None, 0
     for seed in rng.integers(len(points), size=TRIALS // SHARING):
         near = np.asarray(tree.query_ball_point(points[seed], 0.9 * radius), dtype=np.int64)
         if len(near) < FEWEST_POINTS // 4:
@@ -72,8 +72,8 @@ def _search(points: Floats, radius: float, threshold: float, rng: np.random.Gene
         for centre in _centres(drawn, radius):
             off = np.abs(np.linalg.norm(judges - centre, axis=1) - radius)
             count = int(np.count_nonzero(off <= threshold))
-            if count > most:
-                best, most = centre, count
+            if count > max_count:
+                best, max_count = centre, count
     return best
 
 

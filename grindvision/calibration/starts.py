@@ -143,15 +143,15 @@ def _with_rotations(
     if measurements.on_tool:
         R_joint_scanner = np.eye(3)
     T_base_joint, tracker = frames[chosen], measurements.tracker_mm[chosen]
-    turns = T_base_joint[:, :3, :3]
-    turned = np.einsum("mij,mj->mi", turns, measurements.scanner_mm[chosen] @ R_joint_scanner.T)
-    columns = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), -turns], axis=2)
-    goal = T_base_joint[:, :3, 3] + turned - tracker @ R_base_tracker.T
-    shifts = np.linalg.lstsq(columns.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
-    return ScannerOnArm(arm, rigid(R_joint_scanner, shifts[3:]), inverse(rigid(R_base_tracker, shifts[:3])))
+    rotations = T_base_joint[:, :3, :3]
+    rotated = np.einsum("mij,mj->mi", rotations, measurements.scanner_mm[chosen] @ R_joint_scanner.T)
+    columns = np.concatenate([np.broadcast_to(np.eye(3), rotations.shape), -rotations], axis=2)
+    goal = T_base_joint[:, :3, 3] + rotated - tracker @ R_base_tracker.T
+    translations = np.linalg.lstsq(columns.reshape(-1, 6), goal.ravel(), rcond=1e-9)[0]
+    return ScannerOnArm(arm, rigid(R_joint_scanner, translations[3:]), inverse(rigid(R_base_tracker, translations[:3])))
 
 
-def slide_along(measurements: Measurements, arm: MdhArm, travel: Floats) -> tuple[Floats, float, float]:
+def track_direction(measurements: Measurements, arm: MdhArm, travel: Floats) -> tuple[Floats, float, float]:
     """Whether the arm rode on a slide by ``travel`` (M,) of some unit while it was measured.
 
     The linear solution of the starts, with the slide's direction times the length of its unit as three more unknowns.
@@ -161,10 +161,10 @@ def slide_along(measurements: Measurements, arm: MdhArm, travel: Floats) -> tupl
     """
     frames, tracker = forward(arm, measurements.q_rad), measurements.tracker_mm
     columns = _linear_columns(frames, tracker, measurements.scanner_mm, max(float(np.abs(tracker).max()), 1.0))
-    slide = np.multiply.outer((travel - travel.mean()) / np.std(travel), -np.eye(3))
+    travelled = np.multiply.outer((travel - travel.mean()) / np.std(travel), -np.eye(3))
     goal = frames[:, :3, 3]
     medians = []
-    for matrix in (columns, np.concatenate([columns, slide], axis=2)):
+    for matrix in (columns, np.concatenate([columns, travelled], axis=2)):
         flat = matrix.reshape(-1, matrix.shape[2])
         solution = np.linalg.lstsq(flat, goal.ravel(), rcond=1e-9)[0]
         medians.append(float(np.median(np.linalg.norm(goal - (flat @ solution).reshape(-1, 3), axis=1))))
@@ -242,12 +242,12 @@ def _tool_in_sockets(measurements: Measurements, arm: MdhArm) -> Floats:
         return np.eye(4)
     rows = np.flatnonzero(fixed)
     columns = np.zeros((len(rows), 3, 12 + 3 * len(kinds)))
-    turns = T_base_joint[rows, :3, :3]
-    columns[:, :, 9:12] = turns
+    rotations = T_base_joint[rows, :3, :3]
+    columns[:, :, 9:12] = rotations
     seen = measurements.scanner_mm[rows]
     on_tool = measurements.on_tool
     if not on_tool:
-        columns[:, :, :9] = np.einsum("mij,mk->mijk", turns, seen).reshape(len(rows), 3, 9)
+        columns[:, :, :9] = np.einsum("mij,mk->mijk", rotations, seen).reshape(len(rows), 3, 9)
     for place, row in enumerate(rows):
         first = 12 + 3 * int(measurements.fixture[row])
         columns[place, :, first : first + 3] = -np.eye(3)

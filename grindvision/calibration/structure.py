@@ -227,15 +227,15 @@ def _scale_effects(points: CarriedPoints, measurements: Measurements) -> list[_E
     seen = measurements.scanner_mm
     columns = [("tracker", "b", measurements.tracker_mm - measurements.tracker_mm.mean(axis=0))]
     if not measurements.on_tool and np.ptp(seen, axis=0).max() > 1.0 and len(np.unique(seen, axis=0)) > 8:
-        turn = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]
-        columns.append(("scanner", "s", -np.einsum("mij,mj->mi", turn, seen)))
+        rotation = (points.cell.T_tracker_base @ points.frames[:, -1] @ points.cell.T_joint_scanner)[:, :3, :3]
+        columns.append(("scanner", "s", -np.einsum("mij,mj->mi", rotation, seen)))
     for instrument, letter, column in columns:
 
         def scale(
             values: Floats, instrument: str = instrument, letter: str = letter, column: Floats = column
         ) -> tuple[float, str]:
-            spread = column - column.mean(axis=0)
-            size = abs(float(values[0])) * float(np.sqrt((spread**2).sum(axis=1).mean()))
+            centred = column - column.mean(axis=0)
+            size = abs(float(values[0])) * float(np.sqrt((centred**2).sum(axis=1).mean()))
             factor = "long" if values[0] > 0 else "short"
             return size, (
                 f"the {instrument}'s lengths ({letter}x to {letter}z) come out {abs(values[0]):.2%} too {factor} for"

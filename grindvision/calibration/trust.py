@@ -70,8 +70,8 @@ def joint_ranges(arm: MdhArm, measurements: Measurements) -> tuple[Floats, str]:
     if arm.limits is not None and np.isfinite(arm.limits[:, :2]).all() and (np.ptp(arm.limits[:, :2], 1) > 0).all():
         return arm.limits[:, :2].copy(), "over the joints' limits"
     ranges = np.tile([-np.pi, np.pi], (arm.n, 1))
-    slides = np.array(arm.prismatic)
-    ranges[slides] = measured[slides]
+    prismatic = np.array(arm.prismatic)
+    ranges[prismatic] = measured[prismatic]
     still = np.ptp(measured, axis=1) < 1e-3
     ranges[still] = measured[still]
     return ranges, "over all joint angles (-180 to 180 deg; the robot table has no limits)"
@@ -112,7 +112,7 @@ def foreseen_errors(
     return Foreseen(q, base, rms, calibration.foreseen_rms_mm(train.q_rad, train.scanner_mm), where)
 
 
-def doubt_about(foreseen: Foreseen, stated_mean_mm: float) -> list[str]:
+def diagnose_trust(foreseen: Foreseen, stated_mean_mm: float) -> list[str]:
     """A sentence where the error over these poses is far from the ``stated_mean_mm`` of the held-out rows."""
     if foreseen.mean_mm < FAR_WORSE * stated_mean_mm:
         return []

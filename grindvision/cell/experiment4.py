@@ -173,12 +173,12 @@ def experiment4_twin(
     scanner = scanner or StructuredLightScanner(serial=serial)
     T_part_test = inverse(T_scanner_part)
     target = target_of(part.sample)
-    spots = _shown(scanner, target, T_part_test)
+    spots = _shown(scanner, target, T_part_test, rng.spawn(1)[0])
     place = part.bead.ridge_mm - part.bead.height_mm * part.bead.normals
     for _ in range(MAX_DRAWS):
         T_part_sample = _sample_pose(rng, scanner, T_part_test, rotation_deg)
         try:
-            shown = cKDTree(_shown(scanner, target, T_part_sample))
+            shown = cKDTree(_shown(scanner, target, T_part_sample, rng.spawn(1)[0]))
         except SightError:
             continue
         of_test, of_place = (np.isfinite(shown.query(at, distance_upper_bound=LOOK_MM)[0]) for at in (spots, place))
@@ -201,9 +201,9 @@ def _sample_pose(rng: np.random.Generator, scanner: Scanner, T_part_test: Floats
     return pose
 
 
-def _shown(scanner: Scanner, target: Target, T_part_scanner: Floats) -> Floats:
+def _shown(scanner: Scanner, target: Target, T_part_scanner: Floats, rng: np.random.Generator) -> Floats:
     """Points (N, 3) of the part, in its frame, that a quick look from a pose shows."""
-    view = scanner.measure(scanner.sight(target, T_part_scanner, LOOK_EVERY), np.random.default_rng(0))
+    view = scanner.measure(scanner.sight(target, T_part_scanner, LOOK_EVERY), rng)
     return move_points(T_part_scanner, view.true_points)
 
 

@@ -173,15 +173,10 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("calibrate"):
             result = _calibrated(measurements, arm, settings, options.measurements, columns)
         with work.stage("held_out"):
-            if measurements.train.all():
-                unseen = calibration.cross_validated(result, settings)
-            else:
-                unseen = calibration.on_test_rows(result)
+            result, unseen = calibration.evaluate(result, settings)
             if options.train is not None:
                 drawn = f"{len(unseen.rows)} test rows, the others than {int(measurements.train.sum())} drawn to train"
                 unseen = replace(unseen, how=f"{drawn}, seed {options.seed}")
-        if unseen.beyond is not None and unseen.beyond.mean >= unseen.after.mean:
-            result, unseen = replace(result, beyond=None), replace(unseen, beyond_mm=None)
         with work.stage("trust"):
             box = None if options.box is None else np.reshape(options.box, (2, 3))
             foreseen = calibration.foreseen_errors(result, np.random.default_rng(options.seed), box)
@@ -189,8 +184,8 @@ def run(options: argparse.Namespace) -> int:
             if options.suggest is not None:
                 rng = np.random.default_rng(options.seed)
                 suggestion = calibration.suggest_poses(result, foreseen, options.suggest, rng)
-        told = [*result.warnings, *calibration.doubt_about(foreseen, unseen.after.mean)]
-        if unseen.after.mean >= unseen.before.mean:
+        told = [*result.warnings, *calibration.diagnose_trust(foreseen, unseen.after.mean)]
+        if not unseen.improved:
             told.append("calibration did not help: unseen points are no nearer than before; do not use the result")
         for sentence in told:
             warnings.warn(sentence, GrindvisionWarning, stacklevel=1)
@@ -270,7 +265,7 @@ def _free_entries(options: argparse.Namespace, arm: MdhArm) -> tuple[str, ...] |
     names: list[str] = []
     for word in options.free:
         if word == "offsets":
-            names += [f"d{i + 1}_mm" if slides else f"theta{i + 1}_rad" for i, slides in enumerate(arm.prismatic)]
+            names += [f"d{i + 1}_mm" if linear else f"theta{i + 1}_rad" for i, linear in enumerate(arm.prismatic)]
         elif word != "hand-eye":
             names.append(word)
     table_entries(arm, names)
@@ -296,12 +291,12 @@ def _read(options: argparse.Namespace, columns: dict[str, str]) -> tuple[Measure
 
         found = read_measurements(options.measurements, None, columns)
         chain = urdf_chain(robot, found.q_rad.shape[1], options.base_link, options.tip_link)
-        slides = [joint for joint, flag in enumerate(chain.arm.prismatic) if flag]
-        if slides:
-            found = read_measurements(options.measurements, None, columns, slides)
+        prismatic_joints = [joint for joint, flag in enumerate(chain.arm.prismatic) if flag]
+        if prismatic_joints:
+            found = read_measurements(options.measurements, None, columns, prismatic_joints)
         return found, chain.arm, RobotSource(robot, chain)
     if options.base_link or options.tip_link:
         raise InputError("--base-link and --tip-link name links of a URDF file; a table has none")
     arm = read_arm(robot)
-    slides = [joint for joint, flag in enumerate(arm.prismatic) if flag]
-    return read_measurements(options.measurements, arm.n, columns, slides), arm, RobotSource(robot, None)
+    prismatic_joints = [joint for joint, flag in enumerate(arm.prismatic) if flag]
+    return read_measurements(options.measurements, arm.n, columns, prismatic_joints), arm, RobotSource(robot, None)

@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         held_out_rms_mm,
         write_field,
     )
-    from grindvision.vision.depth_calibration.plate_checks import plate_doubts
+    from grindvision.vision.depth_calibration.plate_checks import diagnose_plates
 
     draw = drawing("calibrate_field_picture")
     with Run(options, ("plates",), ("numpy", "scipy", "numba", "matplotlib"), 5) as work:
@@ -77,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
             plates = [finite_points(cloud, path) for cloud, path in zip(clouds, options.plates, strict=True)]
         with work.stage("calibrate"):
             field = calibrate_field(plates, options.steps_mm, CalibrateFieldOptions(options.distance_mm))
-            doubts = plate_doubts(plates, options.steps_mm, options.distance_mm)
-        for text in doubts:
+            findings = diagnose_plates(plates, options.steps_mm, options.distance_mm)
+        for text in findings:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         unseen = None
         if len(plates) > 2:

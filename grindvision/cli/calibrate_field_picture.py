@@ -23,7 +23,7 @@ def draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Seque
     """Draw report.png: the verdict, and the depth error at the nearest and at the farthest plate."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     panels = figure.subplots(1, 2)
-    most = np.abs(field.error_grid_mm).max()
+    max_mm = np.abs(field.error_grid_mm).max()
     for panel, layer, distance in zip(panels, (0, -1), field.low[2:].tolist() + field.high[2:].tolist(), strict=True):
         (left, bottom), (right, top) = field.low[:2] * distance, field.high[:2] * distance
         image = panel.imshow(
@@ -31,8 +31,8 @@ def draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Seque
             extent=(left, right, bottom, top),
             origin="lower",
             cmap="RdBu_r",
-            vmin=-most,
-            vmax=most,
+            vmin=-max_mm,
+            vmax=max_mm,
         )
         panel.set(title=f"{distance:.0f} mm away", xlabel="x, mm, scanner frame", ylabel="y, mm")
     figure.colorbar(image, ax=panels, label="depth error that is taken off, mm", shrink=0.8)

@@ -18,7 +18,7 @@ from grindvision.cli.scans import (
     add_viewpoint_argument,
     check_own_frame,
     corrected,
-    pose_doubts,
+    diagnose_pose,
     read_correction,
     read_pair,
     read_pose,
@@ -130,8 +130,8 @@ def run(options: argparse.Namespace) -> int:
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
         with work.stage("read"):
             sample, test, clouds = _read(options, field)
-        for doubt in [] if T_base_scanner is None else pose_doubts(T_base_scanner, test):
-            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
+        for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
+            warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
         found = detect(sample, test, settings, work.finished)
         lacking = _lacking_height(found, options.require_height)

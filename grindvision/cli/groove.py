@@ -23,7 +23,7 @@ from grindvision.cli.scans import (
     add_unit_argument,
     add_viewpoint_argument,
     corrected,
-    pose_doubts,
+    diagnose_pose,
     read_correction,
     read_scans,
     rows_text,
@@ -152,8 +152,8 @@ def run(options: argparse.Namespace) -> int:
             points = cloud.points if rows.all() else cloud.points[rows]
             if field is not None:
                 points = corrected(field, cloud, points, options.cloud)
-        for doubt in pose_doubts(job.T_base_scanner, points) if job else []:
-            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
+        for finding in diagnose_pose(job.T_base_scanner, points) if job else []:
+            warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         settings = TraceWeldOptions(
             options.waypoints, options.variant, options.viewpoint, None, options.width, options.joint
         )
@@ -188,7 +188,7 @@ def run(options: argparse.Namespace) -> int:
 def _torch(path: SeamPath, options: argparse.Namespace, job: RobotJob | None) -> Trajectory:
     import numpy as np
 
-    from grindvision.motion.trajectory import ToolTrajectoryOptions, slowly_turning, tool_trajectory
+    from grindvision.motion.trajectory import ToolTrajectoryOptions, limit_angular_speed, tool_trajectory
 
     settings = ToolTrajectoryOptions(
         path.closed,
@@ -199,7 +199,7 @@ def _torch(path: SeamPath, options: argparse.Namespace, job: RobotJob | None) ->
     if options.max_turning is None:
         return tool_trajectory(path.points, path.normals, settings)
     speed = 8.0 if job is None else job.torch_speed_mm_s
-    return slowly_turning(path.points, path.normals, settings, speed, float(np.radians(options.max_turning)))
+    return limit_angular_speed(path.points, path.normals, settings, speed, float(np.radians(options.max_turning)))
 
 
 def _results(weld: Weld, labels: np.ndarray) -> dict[str, Any]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from grindvision.vision.seam.weld import Weld
 
 GROOVE, PATH, GREY = "#0072B2", "#D55E00", "#bbbbbb"
-MOST_DOTS = 40_000
+MAX_DOTS = 40_000
 LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
@@ -28,7 +28,7 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path) ->
     """Draw the verdict, the cloud (N, 3) seen against the path's mean normal, the path's course and a cut."""
     points, labels = points.reshape(-1, 3), weld.labels.ravel()
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    kept = finite[:: max(len(finite) // MOST_DOTS, 1)]
+    kept = finite[:: max(len(finite) // MAX_DOTS, 1)]
     up = weld.path.normals.mean(axis=0)
     up = up / np.linalg.norm(up)
     middle = weld.path.points.mean(axis=0)

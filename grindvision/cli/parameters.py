@@ -33,14 +33,14 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def check_count(option: str, value: int, least: int, most: int) -> None:
+def check_count(option: str, value: int, minimum: int, maximum: int) -> None:
     """Refuse a number of things that cannot be meant.
 
     Raises:
-        InputError: it lies outside ``least`` to ``most``.
+        InputError: it lies outside ``minimum`` to ``maximum``.
     """
-    if not least <= value <= most:
-        raise InputError(f"{option} is {value}; give at least {least} and at most {most}")
+    if not minimum <= value <= maximum:
+        raise InputError(f"{option} is {value}; give at least {minimum} and at most {maximum}")
 
 
 def with_parameter_file(command: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:

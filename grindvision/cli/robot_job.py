@@ -270,9 +270,9 @@ def motion_facts(motion: Motion) -> dict[str, Any]:
         "robot": motion.robot.name,
         "position_error_mm": motion.path.position_error_mm.max(),
         "angle_error_deg": np.degrees(motion.path.angle_error_rad.max()),
-        "clearance_mm": motion.clearance.least_mm,
+        "clearance_mm": motion.clearance.min_mm,
         "clearance_between": [first, second],
         "duration_s": motion.timing.time_s[-1],
         "torch_speed_mm_s": motion.timing.asked_speed_mm_s,
-        "steady_share": motion.timing.steady_share,
+        "steady_share": motion.timing.steady_fraction,
     }

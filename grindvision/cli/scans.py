@@ -169,9 +169,9 @@ def _judged(cloud: Cloud, path: str, unit: str | None) -> Cloud:
     from grindvision.clouds import check_unit
 
     check_unit(cloud.points, path, unit)
-    for doubt in (_small(cloud, unit), _mirrored(cloud)):
-        if doubt:
-            warnings.warn(f"{path}: {doubt}", GrindvisionWarning, stacklevel=3)
+    for finding in (_small(cloud, unit), _mirrored(cloud)):
+        if finding:
+            warnings.warn(f"{path}: {finding}", GrindvisionWarning, stacklevel=3)
     return cloud
 
 
@@ -266,19 +266,19 @@ def read_pose(path: str | Path) -> np.ndarray:
             raise FileError(f"{path}: no key T_base_scanner; found {known[:80]}")
         content = content["T_base_scanner"]
     pose = check_rigid(content, f"{path}: T_base_scanner", tolerance=1e-3)
-    shift = float(np.linalg.norm(pose[:3, 3]))
-    if shift == 0 and not np.array_equal(pose, np.eye(4)):
+    distance_mm = float(np.linalg.norm(pose[:3, 3]))
+    if distance_mm == 0 and not np.array_equal(pose, np.eye(4)):
         raise InputError(
             f"{path}: T_base_scanner has no translation: the scanner would stand in the robot's base; give all of it"
         )
-    if 0 < shift < NEAREST_MM or shift > FARTHEST_MM:
+    if 0 < distance_mm < NEAREST_MM or distance_mm > FARTHEST_MM:
         raise UnitError(
-            f"{path}: T_base_scanner shifts by {shift:.3g} mm, where no scanner stands: metres? give millimetres"
+            f"{path}: T_base_scanner shifts by {distance_mm:.3g} mm, where no scanner stands: metres? give millimetres"
         )
     return pose
 
 
-def pose_doubts(T_base_scanner: np.ndarray, points: np.ndarray) -> list[str]:
+def diagnose_pose(T_base_scanner: np.ndarray, points: np.ndarray) -> list[str]:
     """What speaks against a scanner's pose (4, 4) for scanned points (N, 3): identity, centimetres, its inverse."""
     import numpy as np
 
@@ -287,11 +287,11 @@ def pose_doubts(T_base_scanner: np.ndarray, points: np.ndarray) -> list[str]:
     if np.array_equal(T_base_scanner, np.eye(4)):
         return ["T_base_scanner is the identity: right only for a scan that is in the robot's base frame already"]
     found = []
-    shift = float(np.linalg.norm(T_base_scanner[:3, 3]))
-    if shift < INSIDE_ARM_MM:
+    distance_mm = float(np.linalg.norm(T_base_scanner[:3, 3]))
+    if distance_mm < INSIDE_ARM_MM:
         found.append(
-            f"by T_base_scanner the scanner stands {shift:.0f} mm from the origin of the robot's base, within the arm's"
-            " foot: centimetres? give millimetres"
+            f"by T_base_scanner the scanner stands {distance_mm:.0f} mm from the origin of the robot's base, within the"
+            " arm's foot: centimetres? give millimetres"
         )
     part, other = (np.median(move_points(pose, points), axis=0) for pose in (T_base_scanner, inverse(T_base_scanner)))
     away, other_away = float(np.linalg.norm(part)), float(np.linalg.norm(other))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from grindvision.cell import CalibrationExperiment, GrindingScene, JointScene, WeldScene
 
 GREY, MARKED, TRUTH, TEST_ROWS = "#bbbbbb", "#0072B2", "#D55E00", "#E69F00"
-MOST_DOTS = 20_000
+MAX_DOTS = 20_000
 
 
 def draw(made: Any, subject: str, seed: int, path: Path) -> None:
@@ -87,5 +87,5 @@ def _draw_calibration(axes: np.ndarray, experiment: CalibrationExperiment) -> st
 
 
 def _dots(axes: Axes, points: np.ndarray, colour: str) -> None:
-    axes.plot(*points[:: max(len(points) // MOST_DOTS, 1), :2].T, ".", ms=1.8, mew=0, color=colour)
+    axes.plot(*points[:: max(len(points) // MAX_DOTS, 1), :2].T, ".", ms=1.8, mew=0, color=colour)
     axes.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")

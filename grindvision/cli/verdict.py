@@ -15,20 +15,20 @@ GOOD, LOOK = "#D8EFE3", "#FCE8B8"
 WIDTH = 118
 
 
-def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[str], most: int = 4) -> None:
+def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[str], max_warnings: int = 4) -> None:
     """Write a figure's title: the verdict, the facts, the warnings; green without warnings, yellow with them.
 
     The figure's layout must be ``constrained``; it keeps the room free.
     """
     lines = [facts]
-    for text in warnings[:most]:
+    for text in warnings[:max_warnings]:
         lines += textwrap.wrap(f"Look: {text}", WIDTH, subsequent_indent="    ")[:2]
-    if len(warnings) > most:
-        lines.append(f"and {len(warnings) - most} more in report.json")
+    if len(warnings) > max_warnings:
+        lines.append(f"and {len(warnings) - max_warnings} more in report.json")
     height = 0.42 + 0.19 * len(lines)
-    share = height / figure.get_figheight()
-    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - share))
-    band = figure.add_axes((0, 1 - share, 1, share), zorder=-1)
+    fraction = height / figure.get_figheight()
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - fraction))
+    band = figure.add_axes((0, 1 - fraction, 1, fraction), zorder=-1)
     band.set_in_layout(False)
     band.set_facecolor(LOOK if warnings else GOOD)
     band.set(xticks=[], yticks=[])

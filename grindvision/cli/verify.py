@@ -48,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.calibration.measurement_files import read_measurements
 
     cell = read_cell(options.cell)
-    slides = [joint for joint, flag in enumerate(cell.arm.prismatic) if flag]
+    prismatic_joints = [joint for joint, flag in enumerate(cell.arm.prismatic) if flag]
     with Run(options, ("measurements",), ("numpy", "scipy"), 3) as work:
         with work.stage("read"):
-            shots = read_measurements(options.measurements, cell.arm.n, columns, slides)
+            shots = read_measurements(options.measurements, cell.arm.n, columns, prismatic_joints)
         with work.stage("judge"):
             found = verify(cell, shots, VerifyOptions(options.limit_mm, options.tracker_moved))
             if found.warning is not None:

@@ -5,8 +5,7 @@ Names are fetched from their modules when first used, so that tool frames and th
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from grindvision.lazy import lazy_names
 
 _HOMES = {
     "clearance": ("Clearance", "Obstacle", "box", "measure_clearance", "mesh", "scanned", "table"),
@@ -26,14 +25,14 @@ _HOMES = {
     "timing": ("TimeLaw", "time_law"),
     "tool": ("Tool", "grinding_spindle", "read_torch", "welding_torch"),
     "writers": ("LANGUAGES", "programme_files"),
-    "trajectory": ("ToolTrajectoryOptions", "Trajectory", "slowly_turning", "tool_trajectory", "turning_rad_s"),
+    "trajectory": (
+        "ToolTrajectoryOptions",
+        "Trajectory",
+        "angular_speed_rad_s",
+        "limit_angular_speed",
+        "tool_trajectory",
+    ),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_RENAMED = {"slowly_turning": "limit_angular_speed", "turning_rad_s": "angular_speed_rad_s"}
 
-__all__ = sorted(_HOME_OF)
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME_OF:
-        return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__all__, __getattr__ = lazy_names(__name__, _HOMES, _RENAMED)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import InputError
 from grindvision.extras import extra
 from grindvision.geometry import check_points, check_rigid
+from grindvision.lazy import renamed_property
 from grindvision.motion.robot import Robot
 from grindvision.records import by_content
 
@@ -48,9 +49,11 @@ class Clearance:
     nearest: tuple[tuple[str, str], ...]
 
     @property
-    def least_mm(self) -> float:
+    def min_mm(self) -> float:
         """The least distance of all, mm."""
         return float(self.distance_mm.min())
+
+    least_mm = renamed_property("least_mm", "min_mm")
 
     @property
     def tightest(self) -> int:
@@ -59,7 +62,7 @@ class Clearance:
 
     def __str__(self) -> str:
         first, second = self.nearest[self.tightest]
-        return f"at least {self.least_mm:.1f} mm clear, at way point {self.tightest} between {first} and {second}"
+        return f"at least {self.min_mm:.1f} mm clear, at way point {self.tightest} between {first} and {second}"
 
 
 def box(name: str, size_mm: ArrayLike, T_base_box: ArrayLike) -> Obstacle:

@@ -117,18 +117,18 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     if not followed:
         raise complaints[0]
     the_table = table(table_top_mm)
-    followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).least_mm // 10), _travel(one[1])))
+    followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).min_mm // 10), _travel(one[1])))
     blocked: list[Clearance] = []
     for path, q in followed:
         free = measure_clearance(robot, q, [the_table, *options.obstacles])
-        if free.least_mm >= least_clearance_mm:
+        if free.min_mm >= least_clearance_mm:
             return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, options.tool_speed_mm_s))
         blocked.append(free)
-    tightest = max(blocked, key=lambda one: one.least_mm)
+    tightest = max(blocked, key=lambda one: one.min_mm)
     first, second = tightest.nearest[tightest.tightest]
     where = min(max(tightest.tightest - 1, 0), len(trajectory.T_base_tool) - 1)
     raise CollisionError(
-        f"{first} and {second} come within {tightest.least_mm:.1f} mm near way point {where}, even on the best of"
+        f"{first} and {second} come within {tightest.min_mm:.1f} mm near way point {where}, even on the best of"
         f" {len(followed)} branches of {robot.name}; {least_clearance_mm:g} mm is asked for: move or turn the work, or"
         " tilt the tool"
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.extras import extra
+from grindvision.lazy import renamed_property
 from grindvision.motion.follow import JointPath
 from grindvision.motion.robot import JointLimits
 from grindvision.records import by_content
@@ -46,14 +47,16 @@ class TimeLaw:
     asked_speed_mm_s: float
 
     @property
-    def steady_share(self) -> float:
+    def steady_fraction(self) -> float:
         """Fraction of the seam's length run within 1 % of the speed asked for; the rest starts, brakes or bends."""
         steady = self.tool_speed_mm_s >= 0.99 * self.asked_speed_mm_s
         return float(np.sum(np.diff(self.arc_mm)[steady[1:] & steady[:-1]]) / self.arc_mm[-1])
 
+    steady_share = renamed_property("steady_share", "steady_fraction")
+
     def __str__(self) -> str:
         return (
-            f"{self.time_s[-1]:.1f} s for {self.arc_mm[-1]:.1f} mm, {100 * self.steady_share:.1f} % of it at"
+            f"{self.time_s[-1]:.1f} s for {self.arc_mm[-1]:.1f} mm, {100 * self.steady_fraction:.1f} % of it at"
             f" {self.asked_speed_mm_s:g} mm/s"
         )
 

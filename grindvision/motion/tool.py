@@ -99,6 +99,6 @@ def grinding_spindle(length_mm: float = 230.0, mount_mm: float = 80.0, stone_mm:
     return Tool("grinding spindle", rigid(translation_mm=[0, 0, length_mm]), (body,))
 
 
-def _check_length(name: str, length_mm: float, least_mm: float) -> None:
-    if not length_mm > least_mm:
-        raise InputError(f"a {name} of {length_mm:.4g} mm is shorter than its parts; give more than {least_mm:.4g} mm")
+def _check_length(name: str, length_mm: float, min_mm: float) -> None:
+    if not length_mm > min_mm:
+        raise InputError(f"a {name} of {length_mm:.4g} mm is shorter than its parts; give more than {min_mm:.4g} mm")

@@ -182,14 +182,14 @@ def tool_trajectory(
     return Trajectory(frames, closed)
 
 
-def turning_rad_s(trajectory: Trajectory, speed_mm_s: float) -> float:
+def angular_speed_rad_s(trajectory: Trajectory, speed_mm_s: float) -> float:
     """The tool's greatest angular speed between two way points, rad/s, at a speed along the seam."""
     poses = trajectory.T_base_tool_worked[:, :3, :3]
     angles = Rotation.from_matrix(np.swapaxes(poses[:-1], 1, 2) @ poses[1:]).magnitude()
     return float((angles / np.diff(trajectory.arc_mm)).max() * speed_mm_s)
 
 
-def slowly_turning(
+def limit_angular_speed(
     positions_mm: ArrayLike,
     normals: ArrayLike,
     options: ToolTrajectoryOptions,
@@ -207,10 +207,10 @@ def slowly_turning(
         raise InputError(f"a turning of {max_turning_rad_s:g} rad/s at {speed_mm_s:g} mm/s; give both above 0")
     trajectory = tool_trajectory(positions_mm, normals, options)
     steady_mm, longest_mm = max(options.steady_mm, 2.0), trajectory.arc_mm[-1] / 2
-    while (turning := turning_rad_s(trajectory, speed_mm_s)) > max_turning_rad_s:
+    while (fastest := angular_speed_rad_s(trajectory, speed_mm_s)) > max_turning_rad_s:
         if steady_mm > longest_mm:
             raise InputError(
-                f"the seam itself turns the tool at {np.degrees(turning):.3g} deg/s at {speed_mm_s:g} mm/s; the bound"
+                f"the seam itself turns the tool at {np.degrees(fastest):.3g} deg/s at {speed_mm_s:g} mm/s; the bound"
                 f" is {np.degrees(max_turning_rad_s):.3g}; weld slower or allow more"
             )
         steady_mm *= 1.5

@@ -34,7 +34,7 @@ MEAN_MM, MEAN_FRACTION = 0.02, 0.15
 SURE = 5.0
 
 
-def plate_doubts(
+def diagnose_plates(
     plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None = None
 ) -> tuple[str, ...]:
     """Say in words, with sizes, where scans of a plate contradict what ``calibrate_field`` is told of them.
@@ -55,7 +55,7 @@ def plate_doubts(
     waves = float(np.median([plane.rms_mm for plane in planes]))
     half_mm = float(np.median([np.linalg.norm(np.ptp(cloud[:, :2], axis=0)) / 2 for cloud in clouds]))
     sigma = MEAN_MM + MEAN_FRACTION * waves
-    told = _tilt_doubts(normals, half_mm, sigma)
+    told = _diagnose_tilts(normals, half_mm, sigma)
     offset, scale, scale_sigma, step_doubts = _line_of_steps(steps, stands, sigma)
     told += step_doubts
     if abs(scale - 1) > max(NAMED_SCALE, SURE * scale_sigma):
@@ -76,7 +76,7 @@ def plate_doubts(
     return tuple(told)
 
 
-def _tilt_doubts(normals: Floats, half_mm: float, sigma_mm: float) -> list[str]:
+def _diagnose_tilts(normals: Floats, half_mm: float, sigma_mm: float) -> list[str]:
     """The largest tilt between two plates where it exceeds what waves of the scanner do; their lever is 0.4 of half."""
     angles = np.degrees([[vector_angle(one, other) for other in normals] for one in normals])
     first, last = sorted(int(i) for i in np.unravel_index(int(np.argmax(angles)), angles.shape))

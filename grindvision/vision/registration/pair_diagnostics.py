@@ -43,7 +43,7 @@ def check_same_unit(source: Floats, target: Floats, names: PairNames) -> None:
         )
 
 
-def diagnose_table(source: Surfels, target: Surfels, names: PairNames, seed: int = 0) -> str:
+def diagnose_table(source: Surfels, target: Surfels, names: PairNames, seed: int) -> str:
     """In words, that the scans show a table more than the part; empty where they do not. Coarse surfels of each."""
     fractions = plane_fraction(source, seed), plane_fraction(target, seed)
     if min(fractions) < MAX_PLANE or max(fractions) > ONLY_PLANE:

@@ -170,7 +170,7 @@ def register_pair(
         coarse_source, coarse_target = (
             build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
         )
-        if table := diagnose_table(coarse_source, coarse_target, names):
+        if table := diagnose_table(coarse_source, coarse_target, names, int(rng.integers(2**32))):
             raise type(refusal)(f"{refusal}; and {table}") from None
         mirrored = _mirrored_fit(source, target, viewpoints_mm, rng)
         handed = "exported left-handed (two axes swapped, or one with the wrong sign)"

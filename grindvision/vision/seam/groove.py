@@ -19,7 +19,7 @@ from grindvision.geometry.bounds import diagonal_mm
 from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.seam.groove_diagnostics import MIN_WALL_FRACTION, wall_share
+from grindvision.vision.seam.groove_diagnostics import MIN_WALL_FRACTION, wall_fraction
 from grindvision.vision.seam.groove_fit import MIN_POINTS_ACROSS, fit_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.height_field import spacing_of
@@ -217,7 +217,7 @@ def _grooves_seen(
     cluttered = False
 
     def may_be_gap(groove: DetectedGroove) -> bool:
-        return wall_share(groove, cloud) < MIN_WALL_FRACTION
+        return wall_fraction(groove, cloud) < MIN_WALL_FRACTION
 
     for frame in frames:
         for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):

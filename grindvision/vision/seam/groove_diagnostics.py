@@ -19,7 +19,7 @@ WALL_DEPTHS, MIN_WALL_FRACTION, POINTS_ASKED = (0.2, 0.8), 0.08, 2000
 MIN_FILLING = 0.45
 
 
-def doubts_about(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -> list[str]:
+def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -> list[str]:
     """Sentences without their subject that say why a groove of a cloud (N, 3) or (R, C, 3) is doubtful, and what to do.
 
     None for a groove that is well seen.
@@ -31,7 +31,7 @@ def doubts_about(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -
             " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view"
         )
     width = float(np.median(groove.width_mm))
-    on_walls = wall_share(groove, np.asarray(points, dtype=float).reshape(-1, 3))
+    on_walls = wall_fraction(groove, np.asarray(points, dtype=float).reshape(-1, 3))
     if on_walls < MIN_WALL_FRACTION:
         doubts.append(
             f"({width:.3g} mm wide) may be a gap between two things: only {on_walls:.0%} of its points lie on its"
@@ -48,7 +48,7 @@ def doubts_about(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -
     return doubts
 
 
-def wall_share(groove: DetectedGroove, cloud: Floats) -> float:
+def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
     """Fraction of a groove's points in its cloud (N, 3) that lie on its walls, away from surface and root.
 
     Below ``MIN_WALL_FRACTION`` it may be a gap between two things.

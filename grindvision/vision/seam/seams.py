@@ -20,7 +20,7 @@ from grindvision.loose_settings import settings_in
 from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
-from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, wall_share
+from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, wall_fraction
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
@@ -156,7 +156,7 @@ def _sorted_grooves(
     number = np.cumsum(valid) - 1
     for groove in found.grooves if found is not None else ():
         mine = replace(groove, members=number[groove.members])
-        is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_share(mine, cloud) >= MIN_WALL_FRACTION
+        is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION
         (sure if is_sure else doubtful).append(mine)
     return sure, doubtful
 

@@ -14,7 +14,7 @@ from grindvision.loose_settings import settings_in
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.seam.gfh_groove import GfhSettings, find_groove_gfh
-from grindvision.vision.seam.groove_diagnostics import doubts_about
+from grindvision.vision.seam.groove_diagnostics import diagnose_groove
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_path import SeamPath, root_path, slab_path
@@ -154,7 +154,7 @@ def _doubts(detected: SeamDetection, points: ArrayLike) -> list[str]:
             " lies in the groove, else crop the cloud to the part"
         )
     for number, groove in enumerate(grooves, start=1):
-        doubts += [f"groove {number} {doubt}" for doubt in doubts_about(groove, points, detected.spacing_mm)]
+        doubts += [f"groove {number} {doubt}" for doubt in diagnose_groove(groove, points, detected.spacing_mm)]
     for number, seam in enumerate(detected.seams, start=1):
         if seam.interruptions:
             where = ", ".join(map(str, seam.interruptions))
