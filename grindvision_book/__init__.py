@@ -16,7 +16,7 @@ _HOMES = {
     "machinery.answers": ("answer", "missed", "scoreboard", "verdicts"),
     "exercises.checking": ("check", "progress"),
     "machinery.figures": ("save_figure", "save_scene", "save_table"),
-    "machinery.session": ("COLOURS", "fast", "provenance", "start"),
+    "machinery.session": ("COLOURS", "fast", "leave_as_committed", "provenance", "start"),
     "machinery.sliders": ("slider",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

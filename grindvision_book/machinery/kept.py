@@ -26,6 +26,7 @@ from pathlib import Path
 from grindvision import paper
 from grindvision.errors import FileError
 from grindvision.files import sha256, write_json
+from grindvision.measured import absent_sets, measured_sets
 from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook, source_of
 from grindvision_book.machinery.places import FIGURES, ROOT
 
@@ -80,6 +81,8 @@ def parts_of(number: str, notebook: Path, environment: Mapping[str, str], answer
         if (FIGURES / f"{race}.csv").is_file():
             parts[f"race {race}"] = sha256(FIGURES / f"{race}.csv")
     parts |= _data(number if answers is None else "")
+    if any("measured import find_measured" in text for text in texts):
+        parts["measured data"] = _digest(",".join(absent_sets(list(measured_sets()))).encode())
     parts["settings"] = _settings(environment)
     for path in sorted(answers.glob("answers_[0-9][0-9].csv")) if answers else ():
         parts[path.stem] = sha256(path)

@@ -20,7 +20,7 @@ from grindvision_book.machinery.agreement import Files, files_in
 from grindvision_book.machinery.answers import write_scoreboard
 from grindvision_book.machinery.chapters import OVERVIEW, chapters, chosen
 from grindvision_book.machinery.committed import committed_figures
-from grindvision_book.machinery.contents import missing_or_unlisted
+from grindvision_book.machinery.contents import listed, missing_or_unlisted
 from grindvision_book.machinery.dependencies import modules_of_notebook
 from grindvision_book.machinery.event_loop import run_all
 from grindvision_book.machinery.kernels import kernel_environment, run_notebook
@@ -29,6 +29,7 @@ from grindvision_book.machinery.publishing import Publication, publish
 from grindvision_book.machinery.reading import write_page
 from grindvision_book.machinery.readme import write_readme
 from grindvision_book.machinery.schedule import longest_first, recorded_seconds
+from grindvision_book.machinery.session import UNPUBLISHED
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Outcome:
     """What became of one chapter.
 
     ``seconds`` that building it took, ``failure`` (empty: nothing went wrong), ``published`` files, whether it was
-    ``kept`` from an earlier build, and the ``note`` why it was built anew, or why it is not kept.
+    ``kept`` from an earlier build, and the ``note`` why it was built anew, or why it is not kept. ``left`` says why its
+    figures stay as they are committed, where the chapter asked for that.
     """
 
     chapter: str
@@ -45,14 +47,16 @@ class Outcome:
     published: tuple[Publication, ...] = ()
     kept: bool = False
     note: str = ""
+    left: str = ""
 
     def __str__(self) -> str:
         """One line for the terminal."""
         if self.failure:
             return f"{self.chapter}: {self.failure}"
+        left = f"; its figures stay as committed: {self.left}" if self.left else ""
         if self.kept:
-            return f"{self.chapter}: unchanged since it was built here in {self.seconds:.1f} s"
-        return f"{self.chapter}: done in {self.seconds:.1f} s" + (f" ({self.note})" if self.note else "")
+            return f"{self.chapter}: unchanged since it was built here in {self.seconds:.1f} s{left}"
+        return f"{self.chapter}: done in {self.seconds:.1f} s" + (f" ({self.note})" if self.note else "") + left
 
 
 class Watcher:
@@ -184,7 +188,7 @@ class _Build:
             told = environment | {"GRINDVISION_FIGURES": str(fresh / "figures")}
             run = await run_notebook(notebook, fresh / "executed.ipynb", told, self.build / "executed")
             outcome = Outcome(notebook.stem, time.perf_counter() - started, run.failure, note=note)
-            if not outcome.failure and self.listed:
+            if not outcome.failure and self.listed and not _left_as_committed(fresh / "figures"):
                 outcome = replace(outcome, failure=missing_or_unlisted(number, files_in(fresh / "figures")))
             await asyncio.to_thread(write_page, fresh / "executed.ipynb", fresh / "page.html", notebook.stem)
             made = fresh
@@ -205,14 +209,31 @@ class _Build:
                 shutil.copyfile(made / "executed.ipynb", path)
         if outcome.failure:
             return outcome
+        if left := _left_as_committed(made / "figures"):
+            self._restore(outcome.chapter[:2])
+            return replace(outcome, left=left)
         aside = self.build / "put_aside"
         return replace(
             outcome, published=tuple(publish(made / "figures", self.figures, self.committed, aside, self.redraw))
         )
 
+    def _restore(self, number: str) -> None:
+        """Lay out the committed files of a chapter where they are not there."""
+        committed = (self.committed or committed_figures().files) if self.listed else {}
+        for name in (name for name, of in listed().items() if of == number and name in committed):
+            if not (self.figures / name).exists():
+                with write_whole(self.figures / name) as path:
+                    path.write_bytes(committed[name])
+
     def _end(self, number: str, outcome: Outcome, page: Path | None) -> Outcome:
         self.watcher.finished(number, outcome, page if page is not None and page.exists() else None)
         return outcome
+
+
+def _left_as_committed(made: Path) -> str:
+    """Why a chapter's committed figures stay as they are (``session.leave_as_committed``); empty where they do not."""
+    path = made / UNPUBLISHED
+    return path.read_text(encoding="utf-8").strip() if path.is_file() else ""
 
 
 def _check_writable(folder: Path) -> None:

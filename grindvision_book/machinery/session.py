@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
-from grindvision_book.machinery.places import ROOT
-from grindvision_book.machinery.shown_tables import table_html
+from grindvision.files import write_text
+from grindvision_book.machinery.places import ROOT, figures_folder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,6 +29,9 @@ COLOURS = {
     "test": "#D55E00",
     "grey": "#999999",
 }
+
+#: A file of this name beside a chapter's figures says why they are not to be published.
+UNPUBLISHED = "unpublished.txt"
 
 _LIBRARIES = ("numpy", "scipy", "pandas", "matplotlib", "numba", "pin", "open3d-cpu", "open3d", "pyvista", "vtk")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -62,14 +65,11 @@ def start(chapter: str) -> None:
     import matplotlib.pyplot as plt
     import pandas as pd
     import pyvista
-    from IPython import get_ipython
     from vtkmodules.vtkCommonCore import vtkLogger
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     plt.style.use(Path(__file__).with_name("book.mplstyle"))
     pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
-    if (shell := get_ipython()) is not None:
-        shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
     pyvista.set_jupyter_backend("static")
     pyvista.global_theme.background = "white"
     pyvista.global_theme.font.color = "black"
@@ -77,6 +77,7 @@ def start(chapter: str) -> None:
     pyvista.global_theme.anti_aliasing = "ssaa"
     _session.chapter = chapter
     _session.answers.clear()
+    (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)
 
 
 def fast() -> bool:
@@ -93,6 +94,11 @@ def current_chapter() -> str:
     if not _session.chapter:
         raise InputError('no chapter runs; begin with book.start("03") (the number of your chapter)')
     return _session.chapter
+
+
+def leave_as_committed(reason: str) -> None:
+    """Show what this chapter makes here, but leave its committed figures, tables and answers as they are."""
+    write_text(figures_folder() / UNPUBLISHED, reason)
 
 
 def given_answers() -> dict[tuple[str, str], dict[str, object]]:
@@ -123,15 +129,10 @@ def provenance() -> pd.DataFrame:
 
 
 def _commit() -> str:
-    """The commit, and whether what the numbers are computed from differs from it (rebuilt figures do not count)."""
-    commit = _git("rev-parse", "--short", "HEAD")
-    changed = _git("status", "--porcelain", "--", "grindvision", "grindvision_book", "notebooks", "data")
-    return f"{commit} and changes that are not committed" if commit and changed else commit or "unknown"
-
-
-def _git(*words: str) -> str:
     try:
-        answer = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=10)
+        answer = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, timeout=10
+        )
     except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return answer.stdout.strip()
+        return "unknown"
+    return answer.stdout.strip() or "unknown"
