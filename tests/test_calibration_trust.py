@@ -23,7 +23,8 @@ from grindvision.calibration import (
     suggest_poses,
 )
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm, sag_terms, uniform_load
-from grindvision.calibration.model import Unknowns, carry, moved_cell
+from grindvision.calibration.model import carry, moved_cell
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.cli import main
 from grindvision.errors import DegenerateError, FileError, InputError, UnitError
 from grindvision.geometry import inverse, rigid, rotation_about

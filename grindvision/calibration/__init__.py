@@ -18,15 +18,7 @@ from grindvision.calibration.joint_terms import JointCorrections, JointTerm
 from grindvision.calibration.left_out import track_left_out
 from grindvision.calibration.measurement_files import read_measurements, unused_columns
 from grindvision.calibration.measurements import COVARIANCE_COLUMNS, Measurements
-from grindvision.calibration.model import (
-    ScannerOnArm,
-    Unknowns,
-    design_matrix,
-    entry_name,
-    joint_jacobian,
-    moved_cell,
-    table_entries,
-)
+from grindvision.calibration.model import ScannerOnArm, design_matrix, joint_jacobian, moved_cell
 from grindvision.calibration.options import Options
 from grindvision.calibration.poses import PoseChoice, choose_poses
 from grindvision.calibration.robust import consistent_rows
@@ -34,6 +26,7 @@ from grindvision.calibration.sphere_centres import find_sphere, noise_clumping
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding
 from grindvision.calibration.trust import Foreseen, Suggestion, diagnose_trust, foreseen_errors, suggest_poses
+from grindvision.calibration.unknowns import Unknowns, entry_name, table_entries
 from grindvision.lazy import lazy_names
 
 __all__ = [

@@ -26,18 +26,14 @@ from grindvision.calibration.fitting import Fit, expected_covariance, iterated_f
 from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.input_checks import check_measurements, without_copies
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import (
-    ScannerOnArm,
-    Unknowns,
-    table_entries,
-    unknowns_for,
-)
+from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.options import Options
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.starts import place_unseen_fixtures
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding, sentences_of, structure_in
 from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
+from grindvision.calibration.unknowns import Unknowns, table_entries, unknowns_for
 from grindvision.errors import UnitError
 from grindvision.geometry import inverse
 from grindvision.parallel import one_blas_thread

@@ -19,8 +19,9 @@ from grindvision.calibration.joint_terms import (
     wave_terms,
 )
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns
+from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.arm import MdhArm, check_angles, forward
 from grindvision.calibration.estimate import Sigmas, gauss_newton, residuals_of
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns, unknowns_for
+from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.starts import fixed_base_start, free_base_starts, median_error, touching_start
+from grindvision.calibration.unknowns import Unknowns, unknowns_for
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import (
     check_points,

@@ -9,8 +9,9 @@ from grindvision.arm import PARAMETERS, MdhArm
 from grindvision.calibration.estimate import residuals_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.mistakes import Mistake, mistakes, shifted_rows
-from grindvision.calibration.model import ScannerOnArm, entry_name
+from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.starts import closed_form_errors, median_error
+from grindvision.calibration.unknowns import entry_name
 from grindvision.errors import DegenerateError, GrindvisionError, InputError
 
 Floats = NDArray[np.float64]

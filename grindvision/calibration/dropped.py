@@ -12,7 +12,8 @@ from grindvision.calibration.diagnosis import SUSPICIOUS_MM
 from grindvision.calibration.estimate import Sigmas, gauss_newton, residuals_of
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm, coupling_terms
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns
+from grindvision.calibration.model import ScannerOnArm
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.errors import DegenerateError, GrindvisionError, InputError
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import CarriedPoints, ScannerOnArm, Unknowns, carried, measured_points
+from grindvision.calibration.model import CarriedPoints, ScannerOnArm, carried, measured_points
 from grindvision.calibration.statistics import whitening
+from grindvision.calibration.unknowns import Unknowns
 
 Floats = NDArray[np.float64]
 

@@ -19,10 +19,11 @@ from grindvision.calibration.estimate import (
     residuals_of,
 )
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns, carried, moved_cell
+from grindvision.calibration.model import ScannerOnArm, carried, moved_cell
 from grindvision.calibration.options import Options
 from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.starts import median_error
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]

@@ -17,8 +17,9 @@ from scipy.stats import f as fisher
 from grindvision.calibration.estimate import Sigmas, deviations, prior_widths, residuals_of, unit_sizes
 from grindvision.calibration.joint_terms import bases_of, coupling_terms, sag_terms, uniform_load, wave_terms
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import CarriedPoints, ScannerOnArm, Unknowns, carried
+from grindvision.calibration.model import CarriedPoints, ScannerOnArm, carried
 from grindvision.calibration.pose_whitening import pose_whitening
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]

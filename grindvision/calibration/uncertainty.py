@@ -29,8 +29,9 @@ from grindvision.calibration.joint_terms import (
     wave_terms,
 )
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import ScannerOnArm, Unknowns, carried, carry
+from grindvision.calibration.model import ScannerOnArm, carried, carry
 from grindvision.calibration.structure import Finding
+from grindvision.calibration.unknowns import Unknowns
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,14 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import inverse, move_points
-from grindvision.vision.seam.groove_lines import SHARP, DetectedGroove, groove_lines, one_round, weights_of
+from grindvision.vision.seam.groove_lines import (
+    SHARP,
+    DetectedGroove,
+    FittedSections,
+    groove_lines,
+    one_round,
+    weights_of,
+)
 from grindvision.vision.seam.groove_profile import (
     DEPTH,
     LEFT,
@@ -116,9 +123,8 @@ def fit_groove(
         curve = _recentred(curve, fit, first, last, width, _step(width, spacing_mm))
         turns, ring = one_round(curve.stations, width)
         curve = _part(curve, 0, turns) if ring else curve
-    groove = groove_lines(
-        cloud, T_field_cloud, curve, strip, sections, fit, (first, last), prior_sigma, noise, spacing_mm
-    )
+    fitted = FittedSections(curve, strip, sections, fit, prior_sigma, noise, first, last)
+    groove = groove_lines(fitted, T_field_cloud, spacing_mm)
     if groove is None or (groove.edges_seen < MIN_BOTH_SIDES and depth < ONE_SIDED_WALL_SLOPE * width / 2):
         return None
     return groove

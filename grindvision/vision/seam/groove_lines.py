@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,29 +93,33 @@ class DetectedGroove:
         return f"groove of {len(self.members):,} points, {size}, {self.length_mm:.0f} mm long"
 
 
-def groove_lines(
-    cloud: Floats,
-    T_field_cloud: Floats,
-    curve: SeamCurve,
-    strip: Strip,
-    sections: Sections,
-    fit: ProfileFit,
-    run: tuple[int, int],
-    prior_sigma: Floats,
-    noise: float,
-    spacing_mm: float,
-) -> DetectedGroove | None:
+class FittedSections(NamedTuple):
+    """Cross-sections of a valley along its ``curve``: the points beside it (``strip``), gathered into ``sections``, and
+    their ``fit`` under a prior (``prior_sigma`` (7,), ``noise``). The groove reaches from station ``first`` to
+    ``last``."""
+
+    curve: SeamCurve
+    strip: Strip
+    sections: Sections
+    fit: ProfileFit
+    prior_sigma: Floats
+    noise: float
+    first: int
+    last: int
+
+
+def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: float) -> DetectedGroove | None:
     """Lines and points of a fitted groove, in the cloud's frame.
 
     The sections are fitted once more, each to its own points alone, but held to what its neighbours say within a
-    fraction of ``prior_sigma`` (7,), the first fit's prior: where only one wall is seen, the other comes from along the
-    seam. What they say is then smoothed as their own noise asks for.
+    fraction of the first fit's prior: where only one wall is seen, the other comes from along the seam. What they say
+    is then smoothed as their own noise asks for.
 
     None where the points scatter about the section too much for its depth.
     """
-    first, last = run
+    curve, strip, sections, fit, _, noise, first, last = fitted
     step, at = curve.step_mm, np.arange(len(curve)) * curve.step_mm
-    theta = _with_neighbours(strip, sections, fit, run, prior_sigma, step, noise)
+    theta = _with_neighbours(fitted)
     width = float(np.median((theta.parameters[:, RIGHT] - theta.parameters[:, LEFT])[first:last]))
     core = np.abs(strip.across - np.interp(strip.along, at, theta.parameters[:, ROOT])) < CORE_FRACTION * width
     covered = _covered(strip.along[core], first, last, step, width)
@@ -187,17 +192,10 @@ def weights_of(deviation: Floats) -> Floats:
     return 1 / (deviation**2 + (0.3 * np.median(deviation)) ** 2)
 
 
-def _with_neighbours(
-    strip: Strip,
-    sections: Sections,
-    fit: ProfileFit,
-    run: tuple[int, int],
-    prior_sigma: Floats,
-    step: float,
-    noise: float,
-) -> ProfileFit:
+def _with_neighbours(fitted: FittedSections) -> ProfileFit:
     """Fit every section again, to its own points alone, with a prior that its neighbours make."""
-    first, last = run
+    curve, strip, sections, fit, prior_sigma, noise, first, last = fitted
+    step = curve.step_mm
     theta = fit.parameters
     width = float(np.median((theta[:, RIGHT] - theta[:, LEFT])[first:last]))
     usual = np.empty_like(theta)
