@@ -14,6 +14,7 @@ _HOMES = {
     "clouds": ("Cloud", "read_cloud", "write_ply"),
     "models": ("Model", "read_model"),
     "vision.registration.scan_registration": ("RegisterOptions", "Registration", "register"),
+    "vision.registration.meeting": ("Meeting", "merge"),
     "vision.change.detection": ("DetectOptions", "Detection", "detect"),
     "vision.seam.groove": ("FindGroovesOptions", "GrooveDetection", "find_grooves"),
     "vision.seam.weld": ("TraceWeldOptions", "Weld", "trace_weld"),

@@ -26,6 +26,7 @@ COMMANDS = {
     "calibrate-field": "scans of a flat plate in, the depth error of the scanner out",
     "hand-eye": "clouds and controller poses in, where the camera sits on or beside the arm out",
     "data": "list or fetch the measured data that the book uses",
+    "merge": "views and controller poses in, one cloud in the base frame out, and how well they meet",
     "compile": "compile the kernels of all tools, so that no first call waits for it",
     "simulate": "make inputs for detect, groove and calibrate, with the truth beside them",
     "study": "run a study of the book over many cases, here or on a Dask cluster",

@@ -7,6 +7,7 @@ import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
@@ -21,7 +22,6 @@ from grindvision.cli.scans import (
     diagnose_pose,
     read_correction,
     read_pair,
-    read_pose,
     rows_text,
     size_question,
     where_it_stood,
@@ -46,7 +46,7 @@ PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 EPILOG = """\
 results in DIR:
   path.csv         point,x_mm,y_mm,z_mm,nx,ny,nz: path points and outward normals, scanner frame of TEST
-  path_base.csv    the same in the robot's base frame, with --scanner-pose
+  path_base.csv    the same in the robot's base frame, with --scanner-pose or --hand-eye
   difference.ply   the points that stand out, scanner frame of TEST
   report.png       did it work? the scans before and after, the difference, the path
   report.json      T_sample_test, confidence, beads, timings, versions, parameters, questions; written last
@@ -57,6 +57,7 @@ exit code: 0 done (also when there is nothing to grind), 3 done, but the pair ca
 examples:
   grindvision detect good.ply test.ply -o result
   grindvision detect good.stl test.pcd -o result --unit m --scanner-pose pose.json --points 12
+  grindvision detect good.ply test.ply -o result --hand-eye camera/hand_eye.json --robot-pose 412.5 80 310 180 0 45
   grindvision detect model.stl test.ply -o result --field-correction camera/field.npz
   grindvision detect good.ply test.ply -o again --parameters result/parameters.toml
 """
@@ -95,6 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="SAMPLE is made of points of a model and has no scanner's error: --field-correction is for TEST alone (a"
         " mesh needs no such word)",
     )
+    add_camera_arguments(parser, "TEST")
     path = parser.add_argument_group("path")
     path.add_argument("--points", type=whole, default=6, metavar="N", help="path points per bead (default: 6)")
     path.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
@@ -125,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
 
     draw = drawing("detect_picture")
     field = read_correction(options.field_correction, options.test_viewpoint)
-    T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
+    T_base_scanner = scanner_pose(options)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
         with work.stage("read"):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from grindvision.cli.camera_pose import add_convention_arguments, camera_content, stated_convention
 from grindvision.cli.hand_eye_targets import read_target, see_target
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
@@ -61,11 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mounted", choices=("on-arm", "fixed"), default="on-arm", help="where the camera is (default on-arm)"
     )
     how = parser.add_argument_group("how the poses are written")
-    how.add_argument("--rotation", metavar="NAME", help="maker or notation of the rotation, see below")
-    how.add_argument("--angles", choices=("deg", "rad"), help="unit of Euler angles (default: the maker's)")
-    how.add_argument("--pose-unit", choices=("mm", "m"), default="mm", help="unit of the positions (default mm)")
-    how.add_argument("--rotation-first", action="store_true", help="the rotation stands before the position")
-    how.add_argument("--inverse-poses", action="store_true", help="the poses are T_flange_base")
+    add_convention_arguments(how)
     parser.add_argument("--seed", type=int, default=0, help="of the random draws (default 0)")
     add_output_arguments(parser)
 
@@ -81,14 +78,11 @@ def run(options: argparse.Namespace) -> int:
         refuse_implausible,
         refuse_still_views,
     )
-    from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
+    from grindvision.calibration.pose_conventions import poses_from, read_pose_rows
     from grindvision.cli.pictures import drawing
 
     rows = read_pose_rows(options.poses)
-    stated = None
-    if options.rotation is not None:
-        flags = {"rotation_first": options.rotation_first, "inverted": options.inverse_poses}
-        stated = convention(options.rotation, options.angles, options.pose_unit, **flags)
+    stated = stated_convention(options)
     _check_counts(len(rows), len(options.clouds), FEWEST_POINTS if kind == "sphere" else FEWEST_POSES, kind)
     draw = drawing("hand_eye_picture")
     with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
@@ -162,16 +156,14 @@ def _write(found: HandEye, stated: PoseConvention, names: Sequence[str], place: 
 
     from grindvision.files import write_json, write_text
 
-    parent, other = ("flange", "base") if found.mounted == "on-arm" else ("base", "flange")
+    other = "base" if found.mounted == "on-arm" else "flange"
     turns = bool(np.isfinite(found.residuals_rad).all())
     content = {
-        f"T_{parent}_camera": found.T_parent_camera,
-        "mounted": found.mounted,
+        **camera_content(found.T_parent_camera, found.mounted, stated),
         f"target_{other}_mm": found.target[:3, 3],
         **({f"T_{other}_target": found.target} if turns else {}),
         "covariance": found.covariance,
         "rms_mm": found.rms_mm,
-        "convention": str(stated),
     }
     write_json(place / "hand_eye.json", content)
     lines = [f"pose,cloud,x_{other}_mm,y_{other}_mm,z_{other}_mm,error_mm,left_out_mm,weight"]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
 from grindvision.cli.parameters import check_count, number, whole
-from grindvision.cli.scans import read_pose
 from grindvision.errors import InputError
 from grindvision.records import by_content
 
@@ -79,6 +79,7 @@ class RobotJob:
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that ask for a robot's programme."""
+    add_camera_arguments(parser, "CLOUD")
     group = parser.add_argument_group("robot programme (all need --robot)")
     group.add_argument(
         "--robot",
@@ -138,6 +139,8 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         "flange",
         "program",
         "scanner_pose",
+        "hand_eye",
+        "robot_pose",
         "seed",
         "torch_speed",
         "table_top",
@@ -152,15 +155,18 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         "arc_data",
     )
     if options.robot is None:
-        lonely = [name for name in needs_robot if getattr(options, name) is not None]
+        lonely = [name for name in needs_robot if getattr(options, name, None) is not None]
         if lonely:
             raise InputError(f"--{lonely[0].replace('_', '-')} is for a robot's programme; give --robot as well")
         return None
-    if options.scanner_pose is None:
-        raise InputError("--robot needs --scanner-pose: where the scanner stood in the robot's base frame")
+    T_base_scanner = scanner_pose(options)
+    if T_base_scanner is None:
+        raise InputError(
+            "--robot needs --scanner-pose, or --hand-eye with --robot-pose: where the scanner stood in the robot's"
+            " base frame"
+        )
     from grindvision.motion import UR_JOINTS, LoadRobotOptions, load_robot
 
-    T_base_scanner = read_pose(options.scanner_pose)
     form = options.program or "csv"
     arc = _arc(options, form)
     robot = load_robot(options.robot, LoadRobotOptions(_torch(options), options.flange))
@@ -191,7 +197,7 @@ def _arc(options: argparse.Namespace, form: str) -> ArcOptions | None:
     """The hot run that is asked for, or None."""
     details = ("arc_output", "arc_setpoint", "arc_data")
     if options.arc is None:
-        lonely = [name for name in details if getattr(options, name) is not None]
+        lonely = [name for name in details if getattr(options, name, None) is not None]
         if lonely:
             raise InputError(f"--{lonely[0].replace('_', '-')} is for a hot run; give --arc as well")
         return None

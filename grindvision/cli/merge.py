@@ -1,0 +1,104 @@
+"""``grindvision merge``: views and the controller's poses in, one cloud in the base frame out, and how they meet."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from pathlib import Path
+
+from grindvision.cli.camera_pose import add_convention_arguments, flange_poses, read_camera, stated_convention
+from grindvision.cli.report import Run, add_output_arguments
+from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans, size_question
+from grindvision.errors import GrindvisionWarning, InputError
+
+EPILOG = """\
+POSES and CLOUDs as for `grindvision hand-eye`: a row for every cloud, in their order. Views of a camera on the arm are
+joined in the robot's base frame, those of a fixed camera in the frame of the flange that holds the part.
+
+results in DIR:
+  merged.ply       all points in one frame, for detect and groove (--scanner-pose with the identity: they are there)
+  report.png       did it work? the views, a colour each, and how far each pair is apart where it overlaps
+  report.json      meeting_mm: the median, every pair, the worst one; timings, versions, parameters; written last
+
+exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
+
+example:
+  grindvision merge poses.txt view*.ply --hand-eye camera/hand_eye.json -o part
+"""
+
+#: A pair that meets so many times worse than all do, and worse than so much (mm), is worth a word.
+MUCH_WORSE, WORTH_MM = 3.0, 0.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this command."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
+    data = parser.add_argument_group("poses and clouds")
+    data.add_argument("poses", metavar="POSES", help="table of controller poses, a row for every cloud")
+    data.add_argument("clouds", nargs="+", metavar="CLOUD", help=f"clouds in the camera's frame ({CLOUD_FORMATS})")
+    data.add_argument("--hand-eye", required=True, metavar="FILE.json", help="hand_eye.json of `grindvision hand-eye`")
+    add_unit_argument(data)
+    how = parser.add_argument_group("how the poses are written")
+    add_convention_arguments(how, " of `grindvision hand-eye --help` (default: as in the calibration)")
+    add_output_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run it."""
+    import numpy as np
+
+    from grindvision.calibration.hand_eye_checks import check_pose_rows, check_repeated
+    from grindvision.calibration.pose_conventions import read_pose_rows
+    from grindvision.cli.pictures import drawing
+    from grindvision.clouds import finite_points, write_ply
+    from grindvision.vision.registration.meeting import merge
+
+    camera = read_camera(options.hand_eye)
+    stated = stated_convention(options, camera.convention)
+    if stated is None:
+        raise InputError(
+            "--rotation is missing: say how the poses are written; `grindvision hand-eye --help` lists names"
+        )
+    flange = flange_poses(read_pose_rows(options.poses), stated, options.poses)
+    if len(flange) != len(options.clouds) or len(flange) < 2:
+        raise InputError(
+            f"{len(flange)} poses and {len(options.clouds)} clouds; give two clouds at least, and a pose for each"
+        )
+    draw = drawing("merge_picture")
+    frame = "base" if camera.mounted == "on-arm" else "flange"
+    with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
+        with work.stage("read"):
+            clouds = read_scans(options.clouds, options.unit)
+            views = [finite_points(cloud, path) for cloud, path in zip(clouds, options.clouds, strict=True)]
+            check_repeated(views, options.clouds)
+        poses = camera.poses(flange)
+        with work.stage("meet"):
+            meeting = merge(views, poses)
+        first, second = meeting.worst
+        worst_mm = float(meeting.pair_mm[first, second])
+        names = [Path(name).name for name in options.clouds]
+        worst = f"the worst pair, {names[first]} and {names[second]}, within {worst_mm:.2f} mm"
+        doubts = [f"{options.clouds[row]} overlaps no other view" for row in meeting.alone]
+        if worst_mm > max(MUCH_WORSE * meeting.overall_mm, WORTH_MM):
+            doubts.append(f"{worst}, far more than the others: wrong pose, or did the part move?")
+        for text in [*check_pose_rows(flange), *doubts]:
+            warnings.warn(text, GrindvisionWarning, stacklevel=1)
+        with work.stage("write"):
+            write_ply(work.place / "merged.ply", meeting.points)
+        with work.stage("picture"):
+            joined = np.split(meeting.points, np.cumsum([len(view) for view in views])[:-1])
+            draw(meeting, joined, frame, worst, work.warnings, work.place / "report.png")
+        results = {
+            "frame": frame,
+            "points": sum(len(view) for view in views),
+            "meeting_mm": {
+                "median": meeting.overall_mm,
+                "pairs": meeting.median_mm,
+                "worst": {"clouds": [options.clouds[first], options.clouds[second]], "median": worst_mm},
+            },
+            f"T_{frame}_camera": poses,
+        }
+        message = f"{meeting}; {worst}"
+        question = size_question([f"CLOUD 1 of {len(views)}"], clouds[:1])
+        work.report(message, results, {"convention": str(stated), "frame": frame}, questions=[question])
+    return 0
