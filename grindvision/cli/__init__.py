@@ -19,6 +19,7 @@ from grindvision.interrupts import ending_signals_interrupt
 COMMANDS = {
     "book": "rebuild chapters, figures and the scoreboard (and the HTML book)",
     "detect": "two scans in, grinding path out",
+    "grind": "two scans in, grinding passes out; a scan afterwards in, verdict out",
     "groove": "a scan in, weld groove and torch trajectory out",
     "robots": "list the arms that are known by name",
     "calibrate": "sphere measurements in, calibrated arm and scanner out",

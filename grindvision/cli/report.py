@@ -28,10 +28,12 @@ if TYPE_CHECKING:
 REPORT, PARAMETERS = "report.json", "parameters.toml"
 
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+def add_output_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """Options of every tool: where results go, and parameters from a file."""
     group = parser.add_argument_group("output and parameters")
-    group.add_argument("-o", "--output", required=True, metavar="DIR", help="folder for the results, made if needed")
+    group.add_argument(
+        "-o", "--output", required=required, metavar="DIR", help="folder for the results, made if needed"
+    )
     group.add_argument(
         "--parameters",
         metavar="FILE.toml",

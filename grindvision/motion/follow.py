@@ -18,6 +18,7 @@ from grindvision.records import by_content
 with extra("robot"):
     import pinocchio as pin
     from pink import Configuration, solve_ik
+    from pink.exceptions import NoSolutionFound
     from pink.limits import ConfigurationLimit, VelocityLimit
     from pink.tasks import FrameTask
 
@@ -133,9 +134,12 @@ def _drive(
         )
         task.set_target(pin.SE3(target))
         for _ in range(_STEPS):
-            speed = solve_ik(
-                configuration, [task], _STEP_S, solver="daqp", damping=1e-3, limits=limits, safety_break=False
-            )
+            try:
+                speed = solve_ik(
+                    configuration, [task], _STEP_S, solver="daqp", damping=1e-3, limits=limits, safety_break=False
+                )
+            except NoSolutionFound:  # the arm stays where it is, and the pose counts as missed
+                break
             inside = np.clip(configuration.q + speed * _STEP_S, model.lowerPositionLimit, model.upperPositionLimit)
             moved = np.abs(inside - configuration.q).max()
             configuration.update(inside)

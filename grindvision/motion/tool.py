@@ -99,6 +99,30 @@ def grinding_spindle(length_mm: float = 230.0, mount_mm: float = 80.0, stone_mm:
     return Tool("grinding spindle", rigid(translation_mm=[0, 0, length_mm]), (body,))
 
 
+def read_spindle(path: str | Path, stone_mm: float = 20.0) -> Tool:
+    """A spindle from a JSON file: ``T_flange_tcp`` (4, 4), mm, to the wheel's lowest point, z into the work.
+
+    Its body for the collision check is an estimate: a housing of 25 mm radius from the flange to ``stone_mm`` and its
+    own radius short of the tip.
+
+    Raises:
+        FileError: missing, no JSON, no such key. NotRigidError: no rigid transform. UnitError: metres, by its size.
+        InputError: the tip is nearer to the flange than a spindle is long.
+    """
+    content = read_json(path)
+    if isinstance(content, dict):
+        if "T_flange_tcp" not in content:
+            raise FileError(f"{path}: no key T_flange_tcp; found {', '.join(list(content)[:8])[:80] or 'none'}")
+        content = content["T_flange_tcp"]
+    tip = check_rigid(content, f"{path}: T_flange_tcp", tolerance=1e-3)
+    length_mm, radius_mm = float(np.linalg.norm(tip[:3, 3])), 25.0
+    if 0 < length_mm < 2.0:
+        raise UnitError(f"{path}: the tip is {length_mm:.3g} mm from the flange: metres? give millimetres")
+    _check_length("grinding spindle", length_mm, stone_mm + 2 * radius_mm)
+    end = tip[:3, 3] * (1 - (stone_mm + radius_mm) / length_mm)
+    return Tool("grinding spindle", tip, (((0.0, 0.0, 0.0), (float(end[0]), float(end[1]), float(end[2])), radius_mm),))
+
+
 def _check_length(name: str, length_mm: float, min_mm: float) -> None:
     if not length_mm > min_mm:
         raise InputError(f"a {name} of {length_mm:.4g} mm is shorter than its parts; give more than {min_mm:.4g} mm")

@@ -1,0 +1,49 @@
+"""Scans of a part after grinding, made from scans before it: every point goes down with what a process took off."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from grindvision.geometry import inverse, move_points
+from grindvision.geometry.height_map import HeightMap
+from grindvision.motion.grinding import simulate_passes
+
+
+def refined(grid, times):
+    """The same map with so many times as many nodes along each side."""
+    x, y = (np.arange((count - 1) * times + 1) * grid.spacing_mm / times for count in grid.shape)
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    shape = (len(x), len(y))
+    ground, heights = (grid.at(values, places).reshape(shape) for values in (grid.ground_mm, grid.heights_mm))
+    normals = grid.at(grid.normals, places)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return HeightMap(grid.T_scan_map, grid.spacing_mm / times, ground, normals.reshape(*shape, 3), heights)
+
+
+def ground_points(points, plan, factor=1.0, T_test_points=None, heights=None, times=4):
+    """Points (N, 3) of a scan after the plan's passes, with ``factor`` times the planned removal.
+
+    ``T_test_points`` leads from their frame into the one the plan was made in (left out: the same). ``heights``: the
+    true ones, a function of points and normals (K, 3) in the frame of the plan (left out: those that it holds).
+    """
+    fine = refined(plan.work.heights, times)
+    T_map_points = inverse(fine.T_scan_map) @ (np.eye(4) if T_test_points is None else T_test_points)
+    before = np.nan_to_num(fine.heights_mm)
+    if heights is not None:
+        shown = fine.shown
+        before[shown] = np.nan_to_num(heights(*fine.in_scan(np.argwhere(shown) * fine.spacing_mm)))
+    places = np.argwhere(np.ones(fine.shape, dtype=bool)) * fine.spacing_mm
+    inside, keep = (
+        plan.work.heights.at(marks.astype(float), places).reshape(fine.shape) > 0.5
+        for marks in (plan.work.inside, plan.work.keep)
+    )
+    exact = replace(plan, work=replace(plan.work, heights=fine, inside=inside, keep=keep))
+    *_, after = simulate_passes(exact, before, factor)
+    there = move_points(T_map_points, points)
+    places = there[:, :2]
+    for _ in range(2):  # the foot under a point
+        normals = np.nan_to_num(fine.at(fine.normals, places))
+        height = there[:, 2] - np.nan_to_num(fine.at(fine.ground_mm, places))
+        places = there[:, :2] - height[:, None] * normals[:, :2]
+    taken = np.where(np.abs(height) < 5.0, np.nan_to_num(fine.at(before - after, places)), 0.0)
+    return move_points(inverse(T_map_points), there - taken[:, None] * normals)
