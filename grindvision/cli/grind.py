@@ -16,7 +16,7 @@ from grindvision.cli.scans import (
     CLOUD_FORMATS,
     add_unit_argument,
     add_viewpoint_argument,
-    pose_doubts,
+    diagnose_pose,
     read_pose,
     read_scans,
     size_question,
@@ -188,7 +188,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
             clouds = read_scans(paths, options.unit)
             sample, test = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
             keep_out = _keep_out(options)
-        for doubt in [] if T_base_scanner is None else pose_doubts(T_base_scanner, test):
+        for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         asked = GrindOptions(
             settings,

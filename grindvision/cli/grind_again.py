@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.report import Run
-from grindvision.cli.scans import pose_doubts, read_pose, read_scans, size_question, where_it_stood
+from grindvision.cli.scans import diagnose_pose, read_pose, read_scans, size_question, where_it_stood
 from grindvision.errors import FileError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("read"):
             clouds = read_scans(paths, unit)
             sample, new = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
-        for doubt in [] if T_base_scanner is None else pose_doubts(T_base_scanner, new):
+        for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, new):
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
         asked = GrindOptions(
             seed=options.seed,
