@@ -14,11 +14,14 @@ from grindvision.cli.scans import diagnose_pose, read_pose, read_scans, size_que
 from grindvision.errors import FileError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from grindvision.grinding_files import GrindingJob
     from grindvision.motion.grinding import GrindingPlan
     from grindvision.motion.removal import LearntRemoval
     from grindvision.vision.change.remaining import Remaining
     from grindvision.vision.change.stock import StockPiece
+    from grindvision.vision.registration.scan_registration import Registration, StageClock
 
 
 def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
@@ -28,10 +31,8 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points
     from grindvision.files import sha256
-    from grindvision.geometry import inverse
-    from grindvision.grinding import STAGES, GrindOptions, compare
+    from grindvision.grinding import STAGES
     from grindvision.grinding_files import PLAN_FILE, read_job, write_job
-    from grindvision.vision.change.stock import measure_again
     from grindvision.vision.registration.scan_registration import StageClock
 
     draw = drawing("grind_picture")
@@ -51,19 +52,8 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
             sample, new = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
         for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, new):
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
-        asked = GrindOptions(
-            seed=options.seed,
-            viewpoint_sample_mm=options.sample_viewpoint,
-            viewpoint_test_mm=options.test_viewpoint,
-        )
         clock = StageClock(work.finished)
-        compared = compare(sample, new, asked, clock)
-        found = compared.registration
-        for sentence in compared.doubts:
-            warnings.warn(sentence, GrindvisionWarning, stacklevel=1)
-        T_new_test = inverse(found.T_target_source) @ job.T_sample_test
-        pieces = measure_again(found.source, found.target, found.fine, compared.difference, job.places, T_new_test)
-        clock.lap("stock")
+        found, pieces = _measured(job, sample, new, options, clock)
         learnt = _learnt(job, pieces)
         tolerance_mm = options.tolerance_mm or 2 * pieces[0].level_mm
         judged = _judged(pieces, tolerance_mm)
@@ -97,6 +87,27 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         lines += [f"piece {at}, the rest: {one}" for at, one in enumerate(plans, start=1) if one is not None]
         work.report(message, results, {}, clock.laps_s, "\n".join(lines), questions)
     return 3 if options.tolerance_mm is not None and not all(one.met for one in judged) else 0
+
+
+def _measured(
+    job: GrindingJob, sample: np.ndarray, new: np.ndarray, options: argparse.Namespace, clock: StageClock
+) -> tuple[Registration, tuple[StockPiece, ...]]:
+    """The new scan on the good one, and what stands at the places of the job's pieces."""
+    from grindvision.geometry import inverse
+    from grindvision.grinding import GrindOptions, compare
+    from grindvision.vision.change.stock import measure_again
+
+    asked = GrindOptions(
+        seed=options.seed, viewpoint_sample_mm=options.sample_viewpoint, viewpoint_test_mm=options.test_viewpoint
+    )
+    compared = compare(sample, new, asked, clock)
+    found = compared.registration
+    for sentence in compared.doubts:
+        warnings.warn(sentence, GrindvisionWarning, stacklevel=1)
+    T_new_test = inverse(found.T_target_source) @ job.T_sample_test
+    pieces = measure_again(found.source, found.target, found.fine, compared.difference, job.places, T_new_test)
+    clock.lap("stock")
+    return found, pieces
 
 
 def _facts(
