@@ -252,6 +252,31 @@ def test_the_part_itself_tells_where_the_camera_is(tmp_path, mounted, parent):
     assert np.degrees(angle_between(found, X)) < 0.1
 
 
+def test_pose_pairs_of_another_tool_give_the_camera(tmp_path, capsys):
+    rng = np.random.default_rng(16)
+    poses = looking_poses(rng, 9)
+    target = seen_poses(poses, rng, arm_mm=0.1, arm_rad=2e-4)
+    np.savetxt(tmp_path / "poses.txt", rows_of(poses), fmt="%.9f")
+    np.savetxt(tmp_path / "board.txt", rows_of(target, "rotation-vector", degrees=False, metres=True), fmt="%.9f")
+    words = ["hand-eye", str(tmp_path / "poses.txt"), str(tmp_path / "board.txt"), "--rotation", "fanuc"]
+    words += ["--target", "poses", "-o", str(tmp_path / "camera")]
+    read = ["--target-rotation", "rotation-vector", "--target-unit", "m"]
+    assert main(words) == 2 and "say --target-rotation" in capsys.readouterr().err
+    swapped = np.loadtxt(tmp_path / "poses.txt")[[0, 1, 6, 3, 4, 5, 2, 7, 8]]
+    np.savetxt(tmp_path / "swapped.txt", swapped, fmt="%.9f")
+    assert main([words[0], str(tmp_path / "swapped.txt"), *words[2:], *read]) == 2
+    assert "row 3 and row 7 (rows 3 and 7) swapped" in capsys.readouterr().err
+    np.savetxt(tmp_path / "two.txt", rows_of(poses[:2]), fmt="%.9f")
+    np.savetxt(tmp_path / "two_seen.txt", rows_of(target[:2], "rotation-vector", degrees=False), fmt="%.9f")
+    assert main([words[0], str(tmp_path / "two.txt"), str(tmp_path / "two_seen.txt"), *words[3:], *read]) == 2
+    assert "needs at least 3" in capsys.readouterr().err
+    assert not (tmp_path / "camera").exists()
+    assert main([*words, *read]) == 0
+    found = np.array(json.loads((tmp_path / "camera" / "hand_eye.json").read_text())["T_flange_camera"])
+    assert np.linalg.norm(found[:3, 3] - X[:3, 3]) < 1.0
+    assert np.degrees(angle_between(found, X)) < 0.1
+
+
 def test_a_flat_part_is_refused_by_the_command(tmp_path, capsys):
     assert main(["hand-eye", *folder_of_parts(tmp_path, flat=True), "-o", str(tmp_path / "camera")]) == 2
     assert "free motion: a translation along" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.cli.camera_pose import add_convention_arguments, camera_content, stated_convention
-from grindvision.cli.hand_eye_targets import read_target, see_target
+from grindvision.cli.hand_eye_targets import TargetSeen, given_poses, read_target, see_target
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
@@ -42,6 +42,7 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 example:
   grindvision hand-eye poses.txt view*.ply --rotation ur --pose-unit m --target sphere:38.1 -o camera
   grindvision hand-eye poses.txt view*.ply --rotation kuka --target part -o camera
+  grindvision hand-eye poses.txt board.txt --rotation abb --target poses --target-rotation rotation-vector -o camera
 """
 
 
@@ -55,14 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--target",
         required=True,
-        metavar="sphere:DIAMETER_MM|part",
-        help="what rests: a sphere, by its diameter, or the part itself, any shape that leaves no motion free",
+        metavar="sphere:DIAMETER_MM|part|poses",
+        help="what rests: a sphere, by its diameter; the part itself, any shape that leaves no motion free; or poses:"
+        " in the place of clouds one table of T_camera_target that another tool measured (A X = B Z)",
     )
     data.add_argument(
         "--mounted", choices=("on-arm", "fixed"), default="on-arm", help="where the camera is (default on-arm)"
     )
     how = parser.add_argument_group("how the poses are written")
     add_convention_arguments(how)
+    how.add_argument("--target-rotation", metavar="NAME", help="the same of the target's poses, with --target poses")
+    how.add_argument("--target-angles", choices=("deg", "rad"), help="unit of their Euler angles")
+    how.add_argument("--target-unit", choices=("mm", "m"), help="unit of their positions (default mm)")
     parser.add_argument("--seed", type=int, default=0, help="of the random draws (default 0)")
     add_output_arguments(parser)
 
@@ -83,15 +88,18 @@ def run(options: argparse.Namespace) -> int:
 
     rows = read_pose_rows(options.poses)
     stated = stated_convention(options)
-    _check_counts(len(rows), len(options.clouds), FEWEST_POINTS if kind == "sphere" else FEWEST_POSES, kind)
+    given = _given(kind, options, len(rows))
+    views = len(options.clouds) if given is None else len(rows)
+    _check_counts(len(rows), views, FEWEST_POINTS if kind == "sphere" else FEWEST_POSES, kind)
     draw = drawing("hand_eye_picture")
     with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
         poses = None if stated is None else poses_from(rows, stated, options.poses)
         with work.stage("read"):
-            clouds = _read(options)
+            clouds = _read(options) if given is None else []
         with work.stage("target"):
-            seen = see_target(kind, size, clouds, options.clouds, poses, options.seed)
-        rows, names = rows[seen.rows], [options.clouds[row] for row in seen.rows]
+            seen = given or see_target(kind, size, clouds, options.clouds, poses, options.seed)
+        labels = options.clouds if given is None else [f"row {row + 1}" for row in range(len(rows))]
+        rows, names = rows[seen.rows], [labels[row] for row in seen.rows]
         if stated is None or poses is None:
             raise InputError(_suggestion(rows, seen.target, options))
         poses = poses[seen.rows]
@@ -115,6 +123,18 @@ def run(options: argparse.Namespace) -> int:
         }
         work.report(str(found), results, {"convention": str(stated)}, shown=seen.told, questions=[_where(found)])
     return 0
+
+
+def _given(kind: str, options: argparse.Namespace, count: int) -> TargetSeen | None:
+    """The target's poses from their table with ``--target poses``; None for clouds."""
+    told = (options.target_rotation, options.target_angles, options.target_unit)
+    if kind == "poses":
+        if len(options.clouds) != 1:
+            raise InputError(f"--target poses takes one table in the place of clouds, not {len(options.clouds)} files")
+        return given_poses(options.clouds[0], *told, count)
+    if any(word is not None for word in told):
+        raise InputError("--target-rotation, --target-angles and --target-unit are for --target poses; leave them out")
+    return None
 
 
 def _check_counts(poses: int, clouds: int, fewest: int, kind: str) -> None:

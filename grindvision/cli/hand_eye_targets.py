@@ -30,17 +30,17 @@ def read_target(text: str) -> tuple[str, float]:
     """Kind and size of ``--target``.
 
     Raises:
-        InputError: neither a sphere with its diameter nor the part.
+        InputError: neither a sphere with its diameter, nor the part, nor poses.
     """
     kind, _, size = text.partition(":")
-    if text == "part":
+    if text in ("part", "poses"):
         return kind, 0.0
     try:
         diameter = float(size)
     except ValueError:
         diameter = 0.0
     if kind != "sphere" or not 0 < diameter < 1000:
-        raise InputError(f"--target {text}: say sphere:DIAMETER_MM, as in sphere:38.1, or part")
+        raise InputError(f"--target {text}: say sphere:DIAMETER_MM, as in sphere:38.1, or part, or poses")
     return kind, diameter
 
 
@@ -55,6 +55,24 @@ def see_target(
     if kind == "sphere":
         return _sphere(size, clouds, names, seed)
     return _part(clouds, names, poses, seed)
+
+
+def given_poses(path: str, rotation: str | None, angles: str | None, unit: str | None, count: int) -> TargetSeen:
+    """Poses T_camera_target (N, 4, 4) that another tool measured, from a table like that of the controller's poses.
+
+    Raises:
+        InputError: no file or no ``rotation``; other than ``count`` rows. FileError: see ``read_pose_rows``.
+    """
+    import numpy as np
+
+    from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
+
+    if rotation is None:
+        raise InputError("--target poses: say --target-rotation, how the rotation in the second table is written")
+    rows = read_pose_rows(path)
+    if len(rows) != count:
+        raise InputError(f"{count} poses of the controller and {len(rows)} of the target; a row each, in their order")
+    return TargetSeen(poses_from(rows, convention(rotation, angles, unit or "mm"), path), np.arange(count))
 
 
 def _sphere(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str], seed: int) -> TargetSeen:
