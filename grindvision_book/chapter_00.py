@@ -1,4 +1,4 @@
-"""Draws the two papers' flow charts: what goes in, which step, which chapter, what comes out."""
+"""Draws the two papers' flow charts, and the papers' own methods beside ours, from the scoreboard."""
 
 from __future__ import annotations
 
@@ -143,3 +143,106 @@ def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> 
         "shrinkB": 2,
     }
     axes.annotate("", head, tail, arrowprops=style, zorder=2)
+
+
+_OF_TABLE_2 = "largest error of the 14 corrections in {}, Eq 18"
+_AFTER = "{} after accurate calibration"
+_WIDEST = "widest spread in 95 % of cells of corresponding points in {}"
+
+#: Rows of the scoreboard side by side: name, item, the paper's method, ours (None: the rows of Table 2 themselves).
+VARIANTS: tuple[tuple[str, str, str, str | None], ...] = (
+    *((f"Table 2, largest error in {one}", "table2", _OF_TABLE_2.format(one), None) for one in ("angle", "length")),
+    *(
+        (f"Figure 5, {one}", "fig05", f"{_AFTER.format(one)}, Eq 18", _AFTER.format(one))
+        for one in ("mean error", "largest error", "standard deviation")
+    ),
+    (
+        "Tables 3 and 4, points to path",
+        "table3",
+        "printed points to the path of the boxes, largest",
+        "printed point {} to rebuilt path",
+    ),
+    (
+        "Tables 3 and 4, point to point",
+        "table3",
+        "printed points to the boxes' points one to one, largest",
+        "printed points to rebuilt points one to one, largest",
+    ),
+    (
+        "Table 3, normal to normal",
+        "table3",
+        "mended printed normals to the boxes' one to one, largest",
+        "mended printed normals to rebuilt ones one to one, largest",
+    ),
+    *(
+        (f"Figure {fig[3:]}, spread in {plane}", fig, f"{_WIDEST.format(plane)}, boxes", _WIDEST.format(plane))
+        for fig, plane in (("fig10", "XY"), ("fig11", "XZ"), ("fig12", "YZ"))
+    ),
+    (
+        "Figures 9 to 12, compound error",
+        "fig09",
+        "compound error of a path point, boxes",
+        "compound error of a path point",
+    ),
+    (
+        "Figures 10 to 12, cells inside",
+        "fig10-12",
+        "cells with all points inside all squares of 0.5 mm, boxes",
+        "cells with all points inside all squares of 0.5 mm",
+    ),
+    *(
+        (f"Table II, {kind}, radii {radii}", "peng_table2", f"overlap on the {kind}, method of the paper{words}",
+         f"overlap on the {kind}, ours")
+        for kind in ("line", "curve", "box", "cylinder")
+        for radii, words in (("8/2/2", ""), ("10/5/5", ", radii 10/5/5"))
+    ),
+    *(
+        (f"Table I, {kind}", "peng_table1", f"cloud to trajectory, {kind}, the paper's method here",
+         f"cloud to trajectory, {kind}")
+        for kind in ("line", "curve", "box", "cylinder")
+    ),
+)  # fmt: skip
+
+
+def paper_variants(scores: pd.DataFrame) -> pd.DataFrame:
+    """The papers' own methods beside ours: ``what``, ``unit``, ``printed``, ``bound`` (where nothing is printed),
+    ``paper_method``, ``ours``, and the verdicts of both; NaN where no chapter has answered.
+    """
+    import pandas as pd
+
+    rows, found = scores.set_index(["item", "quantity"]), []
+    for what, item, theirs, ours in VARIANTS:
+        row = rows.loc[(item, theirs)]
+        if ours is None:
+            part = scores[(scores["item"] == item) & (scores["unit"] == row["unit"]) & scores["paper"].notna()]
+            our_value, our_verdict = part["difference"].abs().max(), ""
+        elif "{}" in ours:
+            part = rows.loc[[(item, ours.format(k)) for k in range(1, 7)]]
+            our_value, our_verdict = part["rebuilt"].max(), part["verdict"].iloc[part["rebuilt"].to_numpy().argmax()]
+        else:
+            our_value, our_verdict = rows.loc[(item, ours), ["rebuilt", "verdict"]]
+        bound = row["tolerance"] if row["paper"] != row["paper"] else float("nan")
+        found.append((what, row["unit"], row["paper"], bound, row["rebuilt"], our_value, row["verdict"], our_verdict))
+    columns = ["what", "unit", "printed", "bound", "paper_method", "ours", "paper_method_verdict", "ours_verdict"]
+    return pd.DataFrame(found, columns=columns)
+
+
+def draw_variants(variants: pd.DataFrame) -> Figure:
+    """Every row as a share of the printed value, or of the bound where nothing is printed, on a logarithmic axis."""
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    fig, axes = plt.subplots(figsize=(8.4, 0.27 * len(variants) + 1.2), layout="constrained")
+    height = np.arange(len(variants))
+    share = variants["printed"].fillna(variants["bound"])
+    axes.axvline(1, color=COLOURS["printed"], lw=1.2, label="printed value, or bound")
+    for column, colour, mark, label in (
+        ("paper_method", "paper_variant", "s", "the paper's method"),
+        ("ours", "ours", "o", "ours"),
+    ):
+        axes.plot(variants[column] / share, height, mark, color=COLOURS[colour], label=label)
+    axes.set_yticks(height, variants["what"])
+    axes.set(xscale="log", xlabel="value / printed value, or / bound", ylim=(len(variants) - 0.5, -0.5))
+    axes.grid(axis="y", alpha=0.4)
+    fig.legend(loc="outside upper center", ncols=3)
+    return fig

@@ -6,7 +6,7 @@ import pytest
 from grindvision.calibration import Measurements
 from grindvision.errors import GrindvisionError
 from grindvision.vision import detect
-from grindvision_book.chapter_08 import compound
+from grindvision_book.chapter_08 import compound, registered
 from grindvision_book.machinery.arithmetic import PINS, pins
 from grindvision_book.studies.running import case_rng
 from tests.grinding_scene import arc_bead, pair
@@ -52,8 +52,8 @@ class Instruments:
         self.left = iter(())
         for name in ("_scan_of_spot", "measured"):
             monkeypatch.setattr(compound, name, self.once(getattr(compound, name)))
-        monkeypatch.setattr(compound.RegisteredPair, "of", self.moved(compound.RegisteredPair.of))
-        monkeypatch.setattr(compound.RegisteredPair, "with_test", self.moved(compound.RegisteredPair.with_test))
+        monkeypatch.setattr(registered.RegisteredPair, "of", self.moved(registered.RegisteredPair.of))
+        monkeypatch.setattr(registered.RegisteredPair, "with_test", self.moved(registered.RegisteredPair.with_test))
         monkeypatch.setattr(compound, "Measurements", self.measurements)
 
     def once(self, make):

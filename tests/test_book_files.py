@@ -79,6 +79,15 @@ def test_files_that_only_one_side_has_are_told():
     assert lines == ["new.md: made, but not committed", "old.csv: committed, but not made"]
 
 
+def test_a_table_with_a_column_of_units_is_compared_row_by_row():
+    def table(length, percent, seconds):
+        return {"t.csv": f"what,unit,ours,turn_deg\na,mm,{length},1\nb,%,{percent},1\nc,s,{seconds},1\n".encode()}
+
+    assert differences(table(1.00000001, 98.0000001, 0.50000001), table(1.00009, 98.009, 0.5000009)) == []
+    for change in ((1.0003, 98.0, 0.5), (1.0, 98.03, 0.5), (1.0, 98.0, 0.5001)):
+        assert len(differences(table(*change), table(1.00000001, 98.0000001, 0.50000001))) == 1
+
+
 def test_an_answer_is_compared_in_its_own_unit():
     head = "item,quantity,rebuilt,kind,figure,settings\n"
     mm, share = (

@@ -59,6 +59,14 @@ def test_a_case_repeats_and_says_what_its_paths_say(paths):
     assert case["spread_z_mm"] == pytest.approx(spreads(paths)["z_mm"].max())
 
 
+def test_the_paper_s_boxes_are_found_on_the_same_scans_and_farther_from_the_ridge():
+    case = compound_case(np.random.default_rng(1), boxes=True)
+    ours = compound_case(np.random.default_rng(1))
+    assert {name: case[name] for name in ours} == ours
+    assert set(case) == {*ours, *(f"boxes_{name}" for name in ours)}
+    assert case["boxes_off_mm"] > 3 * case["off_mm"] and case["boxes_spread_rms_mm"] > case["spread_rms_mm"]
+
+
 def test_a_displacement_moves_points_by_the_size_asked_for(rng):
     points = rng.uniform([-50, -50, 350], [50, 50, 450], (200, 3))
     moved = move_points(displacement(rng, points, 0.3), points)

@@ -67,6 +67,20 @@ def test_fpfh_is_the_plain_twin_s(patch):
     np.testing.assert_allclose(compute_fpfh(points, normals, 5.0), plain_fpfh(points, normals, 5.0), atol=1e-9)
 
 
+def test_eq_5_as_printed_is_the_mean_of_the_neighbours_over_their_distance(patch):
+    points, normals = patch
+    neighbours = cKDTree(points).query_ball_point(points, 5.0)
+    full = compute_fpfh(points, normals, 5.0, as_printed=True)
+    for size in (0.1, 10.0):  # the own part keeps its sum of 100, the neighbours' part scales with one over the unit
+        scaled = compute_fpfh(size * points, normals, size * 5.0, as_printed=True)
+        own = (full - size * scaled) / (1 - size)
+        np.testing.assert_allclose(own.reshape(-1, 3, 11).sum(axis=2), 100, atol=1e-6)
+    p = 7
+    pairs = [(q, np.linalg.norm(points[q] - points[p])) for q in neighbours[p] if q != p]
+    expected = own[p] + np.mean([own[q] / distance for q, distance in pairs], axis=0)
+    np.testing.assert_allclose(full[p], expected, atol=1e-6)
+
+
 def test_fpfh_is_open3d_s_on_the_same_neighbourhoods(patch):
     import open3d as o3d
 

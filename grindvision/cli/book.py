@@ -15,6 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--force", action="store_true", help="run chapters also where nothing has changed since the last"
     )
     parser.add_argument("--redraw", action="store_true", help="replace committed figures also where their data agree")
+    parser.add_argument(
+        "--seeds", type=int, metavar="N", help="run each chapter with N seeds and say for how many its assertions hold"
+    )
     parser.add_argument("--site", action="store_true", help="build the HTML book in build/site afterwards")
     parser.add_argument(
         "--record-seconds", action="store_true", help="commit what the chapters took, for the time left of later builds"
@@ -42,6 +45,8 @@ def _build(options: argparse.Namespace) -> int:
     from grindvision_book.machinery.rebuilding import rebuild
     from grindvision_book.machinery.schedule import record_seconds
 
+    if options.seeds is not None:
+        return _with_seeds(options)
     figures = FAST_FIGURES if options.fast else FIGURES
     chosen(options.only)
     page = ReadingPage(BUILD / "reading", titles(chapters()))
@@ -73,3 +78,19 @@ def _build(options: argparse.Namespace) -> int:
     if options.record_seconds:
         record_seconds({o.chapter[:2]: o.seconds for o in outcomes if not o.failure}, options.fast)
     return 1 if failed else 0
+
+
+def _with_seeds(options: argparse.Namespace) -> int:
+    from grindvision_book.machinery.chapters import chapters, chosen
+    from grindvision_book.machinery.places import BUILD
+    from grindvision_book.machinery.progress import Progress
+    from grindvision_book.machinery.reading import ReadingPage, titles
+    from grindvision_book.machinery.seeds import rebuild_with_seeds, told
+
+    chosen(options.only)
+    page = ReadingPage(BUILD / "reading", titles(chapters()))
+    with Progress(page, options.fast) as progress:
+        outcomes = rebuild_with_seeds(options.seeds, options.only, options.fast, watcher=progress)
+    page.ended(None)
+    say(told(outcomes))
+    return int(any(outcome.failure for of_seed in outcomes.values() for outcome in of_seed))

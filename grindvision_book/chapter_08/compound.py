@@ -8,7 +8,7 @@ calibrated cell at the commanded joint angles; truth serves the comparison and t
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -34,14 +34,10 @@ from grindvision.cell.experiment4 import printed_path, twin_part
 from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_about, vector_angle
-from grindvision.vision.change.change_detection import find_change
+from grindvision.vision.change.oriented_box import BoxPath
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
-from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.scan_registration import propose, refine
-from grindvision.vision.registration.verification import VerifiedPose, choose_pose
-from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
-from grindvision.vision.surface.scan import Scan as PreparedScan
 from grindvision_book.chapter_08.offsets import square_to
+from grindvision_book.chapter_08.registered import RegisteredPair, registered_pairs, true_registration
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -93,52 +89,6 @@ class Workplace:
         return square_to(ridge, found), arc[near] + along - middles, self.bead.normals[near]
 
 
-@dataclass(frozen=True)
-class RegisteredPair:
-    """Both scans made ready, the coarse pose, and the registration T_sample_test between them."""
-
-    sample: PreparedScan
-    test: PreparedScan
-    coarse: VerifiedPose
-    registration: FineRegistration
-
-    @classmethod
-    def of(cls, sample_points: Floats, test_points: Floats) -> RegisteredPair:
-        """Register two scans (N, 3) from nothing, by the stages of ``vision.detect``.
-
-        Raises:
-            DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
-        """
-        proposing, choosing, refining = np.random.default_rng(0).spawn(3)
-        test, sample = prepare_pair(test_points, sample_points, (np.zeros(3), np.zeros(3)))
-        test, poses = propose(test, sample, proposing)
-        coarse = choose_pose(test, sample, poses, choosing)
-        return cls(sample, test, coarse, refine(test, sample, coarse, refining))
-
-    def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
-        """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
-        size = self.sample.surfels.grid.size_mm
-        sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
-        test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
-        coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
-        return replace(self, test=test, registration=refine(test, self.sample, coarse, np.random.default_rng(0)))
-
-    def at(self, T_sample_test: Floats) -> RegisteredPair:
-        """The same scans under another registration (4, 4)."""
-        return replace(self, registration=replace(self.registration, T_target_source=T_sample_test))
-
-    def bead(self, points: int) -> BeadPath:
-        """Path of the largest bead, frame of the test scan.
-
-        Raises:
-            DegenerateError: nothing stands out, or the bead cannot be followed.
-        """
-        pieces = find_change(self.test, self.sample, self.registration).clusters
-        if not pieces:
-            raise DegenerateError("no bead was found above the level of detection; scan the part from nearer views")
-        return trace_bead(pieces[0], points)
-
-
 @cache
 def workplace(bead_height_mm: float = 1.5) -> Workplace:
     """Experiment 4's twin with a bead of the height given, in the base frame."""
@@ -181,9 +131,45 @@ def compound_paths(
     Raises:
         DegenerateError: registration or path failed, as ``detect`` says.
     """
-    import pandas as pd
-
     place = workplace()
+    pairs, believed = _registered(rng, place, scanner_noise, field_distortion, registration, joint_repeatability,
+                                  calibration, around_mm)  # fmt: skip
+    return _compared(place, believed, [trace_bead(pair.piece(), points) for pair in pairs])
+
+
+def compound_case(rng: np.random.Generator, boxes: bool = False, **settings: Any) -> dict[str, float]:
+    """``compound_paths`` in numbers: a case of a study.
+
+    ``spread_x_mm`` (y, z): widest spread of corresponding points over the path; ``spread_rms_mm``: rms distance of
+    points from the middle of those that correspond. ``off_x_mm`` (y, z): rms of the vectors from the ridge; ``off_mm``
+    their mean length, ``largest_off_mm`` the largest; ``normal_off_deg`` median. With ``boxes`` the same for the
+    paper's boxes on the same scans, each name with ``boxes_`` before it; NaN where they give no path.
+    """
+    place = workplace()
+    pairs, believed = _registered(rng, place, **settings)
+    pieces = [pair.piece() for pair in pairs]
+    found = _in_numbers(_compared(place, believed, [trace_bead(piece, 6) for piece in pieces]))
+    if not boxes:
+        return found
+    try:
+        paths = [pair.boxes(piece, 6) for pair, piece in zip(pairs, pieces, strict=True)]
+        others = _in_numbers(_compared(place, believed, paths))
+    except DegenerateError:
+        others = dict.fromkeys(found, np.nan)
+    return found | {f"boxes_{name}": value for name, value in others.items()}
+
+
+def _registered(
+    rng: np.random.Generator,
+    place: Workplace,
+    scanner_noise: bool = True,
+    field_distortion: bool = True,
+    registration: bool = True,
+    joint_repeatability: bool = True,
+    calibration: bool = True,
+    around_mm: float | None = 25.0,
+) -> tuple[list[RegisteredPair], list[Floats]]:
+    """One robot cell's four registered pairs, and the poses T_base_scanner (4, 4) that it believes."""
     robot, tracker, calibrated, rng.bit_generator.state = _drawn_cell(pickle.dumps(rng))
     instrument = robot.scanner
     left_out = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
@@ -199,30 +185,29 @@ def compound_paths(
         believed.append(_believed_pose(calibrated, tracker, q_rad) if calibration else robot.exact_poses(q_rad))
     wider_mm = None if around_mm is None else np.sqrt(2) * around_mm
     sample = _scan_of_spot(place, place.good, scanner, _view_of_good_part(place, scanner, rng), rng, wider_mm)
-    pairs = _pairs(sample, tests, None if around_mm is None else believed)
+    pairs = registered_pairs(sample, tests, None if around_mm is None else believed)
     if not registration:
         pairs = [pair.at(true_registration(sample, test)) for pair, test in zip(pairs, tests, strict=True)]
-    beads = [pair.bead(points) for pair in pairs]
+    return pairs, believed
+
+
+def _compared(place: Workplace, believed: list[Floats], found_paths: Sequence[BeadPath | BoxPath]) -> pd.DataFrame:
+    """Found paths in the base frame against the truth: the columns of ``compound_paths``."""
+    import pandas as pd
+
     rows = []
-    for name, T_base_scanner, bead in zip(ORIENTATIONS_DEG, believed, beads, strict=True):
-        found, normals = move_points(T_base_scanner, bead.points), rotate_vectors(T_base_scanner, bead.normals)
+    for name, T_base_scanner, path in zip(ORIENTATIONS_DEG, believed, found_paths, strict=True):
+        found, normals = move_points(T_base_scanner, path.points), rotate_vectors(T_base_scanner, path.normals)
         if (found[-1] - found[0]) @ (place.bead.ridge_mm[-1] - place.bead.ridge_mm[0]) < 0:
             found, normals = found[::-1], normals[::-1]
         off, slip, true_normals = place.compared(found)
         tilt = np.degrees(vector_angle(normals, true_normals))
-        rows += [(name, i + 1, *found[i], *normals[i], *off[i], slip[i], tilt[i]) for i in range(points)]
+        rows += [(name, i + 1, *found[i], *normals[i], *off[i], slip[i], tilt[i]) for i in range(len(found))]
     columns = ["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_x_mm", "off_y_mm", "off_z_mm", "slip_mm"]
     return pd.DataFrame(rows, columns=["orientation", "point", *columns, "normal_off_deg"])
 
 
-def compound_case(rng: np.random.Generator, **settings: Any) -> dict[str, float]:
-    """``compound_paths`` in numbers: a case of a study.
-
-    ``spread_x_mm`` (y, z): widest spread of corresponding points over the path; ``spread_rms_mm``: rms distance of
-    points from the middle of those that correspond. ``off_x_mm`` (y, z): rms of the vectors from the ridge; ``off_mm``
-    their mean length, ``largest_off_mm`` the largest; ``normal_off_deg`` median.
-    """
-    paths = compound_paths(rng, **settings)
+def _in_numbers(paths: pd.DataFrame) -> dict[str, float]:
     apart = spreads(paths)
     coordinates = paths[["x_mm", "y_mm", "z_mm"]]
     from_middle = coordinates - coordinates.groupby(paths["point"]).transform("mean")
@@ -249,9 +234,32 @@ def off_ridge(paths: pd.DataFrame) -> Floats:
     return paths[["off_x_mm", "off_y_mm", "off_z_mm"]].to_numpy()
 
 
-def calibrated_cell(robot: GrindingRobot, tracker: LaserTracker, rng: np.random.Generator) -> ScannerOnArm:
-    """Calibrate the robot as experiment 2 does: nine spheres, six directions each, and a tracker."""
-    table = measured(_plan(), robot, tracker, rng, every=None).table
+def calibration_case(rng: np.random.Generator, scanned: bool) -> dict[str, float]:
+    """How far a calibrated cell alone puts the bead's middle from its true place: ``off_mm``, rms over D1 to D4.
+
+    With ``scanned`` every sphere is scanned, cut out and fitted; else its centre's error comes from the error model.
+    """
+    robot, tracker = (
+        replace(_robot(), scanner=StructuredLightScanner(serial=int(rng.integers(2**31)))),
+        misaligned_tracker(rng),
+    )
+    calibrated = calibrated_cell(robot, tracker, rng, every=3 if scanned else None)
+    middle, squares = workplace().bead.ridge_mm.mean(axis=0), []
+    for angles in ORIENTATIONS_DEG.values():
+        q_rad = np.radians(angles)
+        seen = move_points(inverse(robot.exact_poses(q_rad)), middle)
+        squares.append(((move_points(_believed_pose(calibrated, tracker, q_rad), seen) - middle) ** 2).sum())
+    return {"off_mm": float(np.sqrt(np.mean(squares)))}
+
+
+def calibrated_cell(
+    robot: GrindingRobot, tracker: LaserTracker, rng: np.random.Generator, every: int | None = None
+) -> ScannerOnArm:
+    """Calibrate the robot as experiment 2 does: nine spheres, six directions each, and a tracker.
+
+    ``every``: see ``cell.measured``; by default the error of a sphere's centre comes from the error model.
+    """
+    table = measured(_plan(), robot, tracker, rng, every).table
     joints, seen, tracked = (
         [f"q{i}_rad" for i in range(1, 5)], ["sx_mm", "sy_mm", "sz_mm"], ["bx_mm", "by_mm", "bz_mm"],
     )  # fmt: skip
@@ -301,11 +309,6 @@ def _believed_pose(calibrated: ScannerOnArm, tracker: LaserTracker, q_rad: Float
     return inverse(tracker.T_tracker_base) @ T_tracker_scanner
 
 
-def true_registration(sample: Scan, test: Scan) -> Floats:
-    """T_sample_test (4, 4) as it truly is."""
-    return inverse(sample.T_world_scanner) @ test.T_world_scanner
-
-
 def _scan_of_spot(
     place: Workplace,
     part: Target,
@@ -333,13 +336,3 @@ def _view_of_good_part(place: Workplace, scanner: Scanner, rng: np.random.Genera
     middle = move_points(inverse(place.T_base_part), place.bead.ridge_mm.mean(axis=0))
     T_part_scanner[:3, 3] = [0.0, middle[1], 0.0] - scanner.reference_mm * T_part_scanner[:3, 2]
     return T_part_scanner
-
-
-def _pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
-    """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
-    if believed is None:
-        return [RegisteredPair.of(sample.points, test.points) for test in tests]
-    first = RegisteredPair.of(sample.points, tests[0].points)
-    T_sample_base = first.registration.T_target_source @ inverse(believed[0])
-    moved = zip(tests[1:], believed[1:], strict=True)
-    return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]

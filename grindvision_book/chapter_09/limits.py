@@ -20,10 +20,10 @@ from grindvision.cell.grinding_part import Bead, GrindingPart, grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, small_motion, vector_angle
-from grindvision.vision.change.ridge_path import BeadPath
+from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.surface.voxel_grid import voxel_grid
-from grindvision_book.chapter_08.compound import RegisteredPair
 from grindvision_book.chapter_08.offsets import square_to
+from grindvision_book.chapter_08.registered import RegisteredPair
 from grindvision_book.chapter_09.grinding import GroundBead, Wheel, grind, resampled
 
 Floats = NDArray[np.float64]
@@ -91,7 +91,7 @@ def found_path(
     scene, pair, rng.bit_generator.state = _registered(pickle.dumps(rng), voxel_mm, overlap, bead_height_mm)
     T_sample_test = pair.registration.T_target_source
     spots = scene.test.true_points[:: len(scene.test) // 1000]
-    path = pair.at(T_sample_test @ displacement(rng, spots, registration_mm)).bead(points)
+    path = trace_bead(pair.at(T_sample_test @ displacement(rng, spots, registration_mm)).piece(), points)
     left = move_points(inverse(scene.T_sample_test) @ T_sample_test, spots) - spots
     bead = Bead(scene.ridge_mm, scene.ridge_normals, scene.part.bead.width_mm, bead_height_mm)
     return FoundPath(path, bead, float(np.sqrt((left**2).sum(axis=1).mean())))

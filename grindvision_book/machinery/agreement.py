@@ -1,8 +1,8 @@
 """Whether rebuilt figures, tables and answers say what the committed ones say: by their data, never by pixels.
 
-How far apart two values may be is stated in ``agreement.csv``, by the unit that a column's name ends in, with
-exceptions by file. One unit in the last digit written is allowed on top: a value on the edge of two roundings may fall
-either way.
+How far apart two values may be is stated in ``agreement.csv``, by the unit that a column's name ends in (in a table
+with a column ``unit``, by each row's), with exceptions by file. One unit in the last digit written is allowed on top: a
+value on the edge of two roundings may fall either way.
 """
 
 from __future__ import annotations
@@ -98,6 +98,9 @@ def _different_values(name: str, rebuilt: pd.DataFrame, committed: pd.DataFrame)
         now, then = rebuilt[column], committed[column]
         if stem.startswith("answers_") and column == "rebuilt":
             allowed = np.array([tolerance(stem, f"{stem}_{suffix}") for suffix in _suffixes(committed)])
+        elif "unit" in committed and not _has_unit(column):
+            suffixes = [_SUFFIX_OF_UNIT.get(unit, "") for unit in committed["unit"]]
+            allowed = np.array([tolerance(stem, f"{column}_{suffix}" if suffix else column) for suffix in suffixes])
         else:
             allowed = np.array([tolerance(stem, column)])
         bad = ~_close(now, then, *allowed.T)
@@ -126,6 +129,10 @@ def _decimals(text: str) -> int:
     mantissa, _, exponent = text.lower().partition("e")
     shift = int(exponent) if exponent.lstrip("+-").isdigit() else 0
     return max(len(mantissa.partition(".")[2]) - shift, 0)
+
+
+def _has_unit(column: str) -> bool:
+    return column.rpartition("_")[2] in _SUFFIX_OF_UNIT.values()
 
 
 def _suffixes(answers: pd.DataFrame) -> list[str]:

@@ -22,7 +22,7 @@ HEADLINES = (
     ("table4 print", "rms of one rigid motion between Tables 3 and 4"),
     ("fig05", "mean error after accurate calibration, Eq 18"),
     ("fig05", "mean error after accurate calibration"),
-    ("table3", "printed points to the boxes' points, nearest, largest"),
+    ("table3", "printed points to the path of the boxes, largest"),
     ("table3", "path points to true ridge, mean, whole instrument"),
     ("fig09", "compound error of a path point, boxes"),
     ("fig09", "compound error of a path point"),

@@ -22,7 +22,7 @@ def findings_page(text: str, figures: Path) -> str:
     Raises:
         FileError: a table that the page quotes is missing.
     """
-    return text.format_map(printed_numbers() | rebuilt_numbers(figures))
+    return text.format_map(printed_numbers() | rebuilt_numbers(figures) | numbers_not_reproduced(figures))
 
 
 def printed_numbers() -> Numbers:
@@ -122,4 +122,31 @@ def rebuilt_numbers(figures: Path) -> Numbers:
         "exact_mm": cameras["true field"],
         "radii_least_percent": by_radii.min(),
         "radii_most_percent": by_radii.max(),
+    }
+
+
+def numbers_not_reproduced(figures: Path) -> Numbers:
+    """What the papers' own methods came to, from the scoreboard and the tables in ``figures``."""
+    rows = scoreboard(figures).set_index(["item", "quantity"])
+    board, after = rows["rebuilt"], "error after accurate calibration, Eq 18"
+    causes = read_table(figures / "fig05_causes.csv", ("size", "mean_mm"), ("cause", "meets_all_three"))
+    possible = causes[causes["meets_all_three"].astype(str) == "True"]
+    sizes = ("nearest_min_mm", "nearest_max_mm", "one_to_one_max_mm")
+    boxes = read_table(figures / "table3_variants.csv", sizes, ("path",)).set_index("path")
+    return {
+        "numbers": len(rows),
+        "reproduced": int((rows["verdict"] == "reproduced").sum()),
+        "eq18_sphere_mm": board["fig05", f"mean {after}"],
+        "eq18_sphere_most_mm": board["fig05", f"largest {after}"],
+        "rigs": len(causes) - 1,
+        "possible": len(possible),
+        "causes": ", ".join(f"{row.cause.replace('_', ' ')} {row.size:g}" for row in possible.itertuples()),
+        "boxes_least_mm": boxes.loc[["boxes"], "nearest_min_mm"].min(),
+        "boxes_most_mm": boxes.loc[["boxes"], "nearest_max_mm"].max(),
+        "ours_most_mm": boxes.loc["ours", "nearest_max_mm"],
+        "one_to_one_most_mm": boxes.loc["ours", "one_to_one_max_mm"],
+        **{
+            f"early_{piece}_percent": board["peng_table2", f"overlap on the {piece}, method of the paper, radii 10/5/5"]
+            for piece in ("line", "cylinder")
+        },
     }

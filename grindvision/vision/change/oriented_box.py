@@ -56,10 +56,14 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
         raise DegenerateError("the difference points lie in one plane; their box has no volume") from None
     corners = points[hull.vertices]
     _, faces = np.unique(np.round(hull.equations[:, :3], 6), axis=0, return_index=True)
-    normals = hull.equations[faces, :3]
+    normals = hull.equations[faces, :3] / np.linalg.norm(hull.equations[faces, :3], axis=1, keepdims=True)
+    heights = np.ptp(corners @ normals.T, axis=0)
+    least_volumes = heights * _shadows(hull, normals)  # a rectangle around the shadow is no smaller than the shadow
     best, least = np.eye(3), np.inf
-    for normal in normals:
-        normal = normal / np.linalg.norm(normal)
+    for face in np.argsort(least_volumes, kind="stable"):
+        if least_volumes[face] > least:
+            break
+        normal = normals[face]
         across = np.linalg.svd(normal[None])[2][1:]
         flat = corners @ across.T
         outline = flat[ConvexHull(flat).vertices]
@@ -68,13 +72,19 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
         along = np.ptp(outline @ edges.T, axis=0)
         aside = np.ptp(outline @ np.column_stack([-edges[:, 1], edges[:, 0]]).T, axis=0)
         at = int(np.argmin(along * aside))
-        volume = along[at] * aside[at] * np.ptp(corners @ normal)
+        volume = along[at] * aside[at] * heights[face]
         if volume < least:
             first = edges[at] @ across
             best, least = np.stack([first, np.cross(normal, first), normal]), volume
     low, high = (points @ best.T).min(axis=0), (points @ best.T).max(axis=0)
     order = np.argsort(-(high - low), kind="stable")
     return OrientedBox((low + high) / 2 @ best, best[order], (high - low)[order])
+
+
+def _shadows(hull: ConvexHull, normals: Floats) -> Floats:
+    """Area (K,) of the hull's projection along ``normals`` (K, 3): half of what its faces, front and back, cast."""
+    a, b, c = hull.points[hull.simplices].swapaxes(0, 1)
+    return np.abs(np.cross(b - a, c - a) @ normals.T).sum(axis=0) / 4
 
 
 def box_path(difference: ArrayLike, test: ArrayLike, test_normals: ArrayLike, points: int = 6) -> BoxPath:

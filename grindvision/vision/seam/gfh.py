@@ -2,7 +2,7 @@
 
 For a point p with N other points within the radius: local angles ``acos(n_p . n_j)`` (Eq 2), global angles
 ``acos(n_j . n_base)`` (Eq 4) with the base normal n_base, the unit sum of all normals (Eq 3). The variation of each
-set about its mean (Eqs 5-6) multiplied gives the descriptor D (its formula is lost in our copy of the paper). Angles
+set about its mean (Eq 5) multiplied gives the descriptor D (Eq 6; its formula is lost in our copy of the paper). Angles
 are in degrees.
 """
 

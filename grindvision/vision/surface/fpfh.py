@@ -2,14 +2,16 @@
 
 The three angles of Eq 4 fill eleven bins each. Where the paper is silent or two readings are possible, Open3D's choice
 is taken so that results can be compared with it: of a pair, the point whose normal lies closer to the connecting line
-carries the frame of Eq 3, and the weight of Eq 5 is the squared distance. FPFH of a point is its own histogram plus the
-weighted ones of its neighbours, each third scaled to a sum of 100.
+carries the frame of Eq 3. Eq 5 as printed divides each neighbour's histogram by its distance, and the sum by their
+number k. PCL and Open3D divide by the squared distance and scale each third of the sum to 100 instead, which takes k
+out; so do we, unless the printed form is asked for.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
@@ -30,7 +32,13 @@ EDGES = np.where(_ALONG >= 0, _TURNS, np.copysign(2.0, _ACROSS) - _TURNS)
 """Between the bins of theta, in the measure of ``_bin_of_direction``: it grows with the angle, from -2 to 2."""
 
 
-def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, max_neighbours: int | None = None) -> Floats:
+def compute_fpfh(
+    points: ArrayLike,
+    normals: ArrayLike,
+    radius_mm: float,
+    max_neighbours: int | None = None,
+    as_printed: bool = False,
+) -> Floats:
     """FPFH (N, 33) of points (N, 3) with unit normals (N, 3): bins of theta, then alpha, then phi (Eqs 3-5).
 
     Args:
@@ -38,6 +46,7 @@ def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, max_ne
         normals: consistently oriented unit normals.
         radius_mm: neighbourhood radius; about five voxels.
         max_neighbours: take only so many nearest neighbours, the point itself included.
+        as_printed: weigh the neighbours as Eq 5 is printed; the unit of the distances then counts.
 
     Raises:
         InputError: points and normals differ in number.
@@ -48,7 +57,19 @@ def compute_fpfh(points: ArrayLike, normals: ArrayLike, radius_mm: float, max_ne
         raise InputError(f"points {points.shape} and normals {normals.shape} must come in pairs")
     around = within_radius(build_cells(points, radius_mm), points, radius_mm, max_neighbours)
     simple = _simple_histograms(points, normals, around.starts, around.indices, max_neighbours is None)
+    if as_printed:
+        return _as_printed(simple, around.starts, around.indices, np.sqrt(around.squared_mm2))
     return _weighted_histograms(simple, around.starts, around.indices, around.squared_mm2)
+
+
+def _as_printed(simple: Floats, starts: Integers, indices: Integers, distances: Floats) -> Floats:
+    """Eq 5: each point's own histogram, and the mean of its k neighbours' divided by their distance."""
+    n = len(simple)
+    others = distances > 0
+    rows = np.repeat(np.arange(n), np.diff(starts))[others]
+    k = np.maximum(np.bincount(rows, minlength=n), 1)
+    weights = csr_array((1 / (distances[others] * k[rows]), (rows, indices[others])), shape=(n, n))
+    return np.asarray(simple + weights @ simple)
 
 
 def mirrored_fpfh(features: ArrayLike) -> Floats:

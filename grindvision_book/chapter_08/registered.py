@@ -1,0 +1,94 @@
+"""Scans of one robot cell registered with the good part's, and what stands out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.cell import Scan
+from grindvision.errors import DegenerateError
+from grindvision.geometry import inverse
+from grindvision.vision.change.change_detection import Cluster, find_change
+from grindvision.vision.change.oriented_box import BoxPath
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.scan_registration import propose, refine
+from grindvision.vision.registration.verification import VerifiedPose, choose_pose
+from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
+from grindvision.vision.surface.scan import Scan as PreparedScan
+from grindvision_book.chapter_06.boxes import paper_path
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RegisteredPair:
+    """Both scans made ready, the coarse pose, and the registration T_sample_test between them."""
+
+    sample: PreparedScan
+    test: PreparedScan
+    coarse: VerifiedPose
+    registration: FineRegistration
+
+    @classmethod
+    def of(cls, sample_points: Floats, test_points: Floats) -> RegisteredPair:
+        """Register two scans (N, 3) from nothing, by the stages of ``vision.detect``.
+
+        Raises:
+            DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
+        """
+        proposing, choosing, refining = np.random.default_rng(0).spawn(3)
+        test, sample = prepare_pair(test_points, sample_points, (np.zeros(3), np.zeros(3)))
+        test, poses = propose(test, sample, proposing)
+        coarse = choose_pose(test, sample, poses, choosing)
+        return cls(sample, test, coarse, refine(test, sample, coarse, refining))
+
+    def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
+        """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
+        size = self.sample.surfels.grid.size_mm
+        sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
+        test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
+        coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
+        return replace(self, test=test, registration=refine(test, self.sample, coarse, np.random.default_rng(0)))
+
+    def at(self, T_sample_test: Floats) -> RegisteredPair:
+        """The same scans under another registration (4, 4)."""
+        return replace(self, registration=replace(self.registration, T_target_source=T_sample_test))
+
+    def piece(self) -> Cluster:
+        """The largest piece that stands out, frame of the test scan.
+
+        Raises:
+            DegenerateError: nothing stands out.
+        """
+        pieces = find_change(self.test, self.sample, self.registration).clusters
+        if not pieces:
+            raise DegenerateError("no bead was found above the level of detection; scan the part from nearer views")
+        return pieces[0]
+
+    def boxes(self, piece: Cluster, points: int) -> BoxPath:
+        """Path of the paper's boxes (section 3.6) where a piece lies, under the same registration.
+
+        Raises:
+            DegenerateError: a part of the box is empty, or the difference has no volume.
+        """
+        path = paper_path(piece.points, self.test, self.sample, self.registration.T_target_source, points)
+        if len(path.points) < points:
+            raise DegenerateError(f"{points - len(path.points)} parts of the box hold no point of the difference")
+        return path
+
+
+def true_registration(sample: Scan, test: Scan) -> Floats:
+    """T_sample_test (4, 4) as it truly is."""
+    return inverse(sample.T_world_scanner) @ test.T_world_scanner
+
+
+def registered_pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
+    """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
+    if believed is None:
+        return [RegisteredPair.of(sample.points, test.points) for test in tests]
+    first = RegisteredPair.of(sample.points, tests[0].points)
+    T_sample_base = first.registration.T_target_source @ inverse(believed[0])
+    moved = zip(tests[1:], believed[1:], strict=True)
+    return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]
