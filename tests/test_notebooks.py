@@ -1,5 +1,6 @@
 """The chapters as they are committed, and the figures that they rebuild from empty."""
 
+import re
 from pathlib import Path
 
 import nbformat
@@ -10,7 +11,7 @@ from grindvision_book.machinery.chapters import chapters
 from grindvision_book.machinery.committed import committed_figures
 from grindvision_book.machinery.contents import listed
 from grindvision_book.machinery.one_at_a_time import only_build
-from grindvision_book.machinery.places import BUILD, NOTEBOOKS
+from grindvision_book.machinery.places import BUILD, NOTEBOOKS, ROOT
 from grindvision_book.machinery.rebuilding import rebuild
 
 COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
@@ -34,9 +35,15 @@ def test_a_chapter_starts_under_its_own_number(number: str, path: Path) -> None:
     assert f'book.start("{number}")' in code[0]
 
 
-#: Chapters whose studies take minutes: rebuilt whole by `./run laws`, every night; `test_studies_again.py` measures
-#: some of their cases in every run.
+#: Chapters whose studies take minutes: rebuilt whole by `./run laws`, every night. In every run they run in the fast
+#: setting, and `test_studies_again.py` measures some of their cases.
 LONG = ("08", "09")
+
+
+def test_every_run_runs_the_long_chapters_in_the_fast_setting() -> None:
+    patterns = re.findall(r"notebooks/(\S+\.ipynb)", (ROOT / "run").read_text(encoding="utf-8"))
+    ran = {path.name[:2] for pattern in patterns for path in NOTEBOOKS.glob(pattern)}
+    assert ran == set(LONG)
 
 
 @pytest.mark.book
