@@ -16,7 +16,7 @@ from grindvision_book.machinery.arithmetic import PINS, pins
 from grindvision_book.machinery.event_loop import is_ending
 
 #: A cell that takes longer than this has hung.
-CELL_TIMEOUT_S = 900
+CELL_TIMEOUT_S = 3600
 NO_MESSAGE = "no message"
 
 _LOADED = """
