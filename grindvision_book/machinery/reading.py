@@ -110,7 +110,7 @@ class ReadingPage:
 
 
 def titles(chapters: Mapping[str, Path]) -> dict[str, str]:
-    """Two digits of each chapter -> the title that stands above it."""
+    """Two digits of each chapter -> the title that stands above it, without them."""
     import json
 
     found = {}
@@ -119,7 +119,7 @@ def titles(chapters: Mapping[str, Path]) -> dict[str, str]:
             first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"]
         except (OSError, ValueError, KeyError, IndexError):
             first = ""
-        title = re.search(r"^# (.+)$", "".join(first), re.MULTILINE)
+        title = re.search(r"^# (?:\d\d )?(.+)$", "".join(first), re.MULTILINE)
         found[number] = title[1] if title else path.stem
     return found
 
