@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import number
 from grindvision.errors import FileError, InputError, UnitError
+from grindvision.records import by_content
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 NEAREST_FLANGE_MM = 20.0
 
 
+@by_content
 @dataclass(frozen=True)
 class Camera:
     """A calibrated camera: ``T_parent_camera`` (4, 4), ``mounted`` ``on-arm`` (parent: flange) or ``fixed`` (base), and

@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
+from grindvision.records import by_content
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 ALL_PAIRS, NEAREST = 12, 6
 
 
+@by_content
 @dataclass(frozen=True)
 class TargetSeen:
     """The target in the camera's frame, points (M, 3) or poses (M, 4, 4), at the poses ``rows`` (M,) that show it."""

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from grindvision.geometry import inverse, move_points, skew, small_motion
+from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
 Pair = tuple[int, int]
 
 
+@by_content
 @dataclass(frozen=True)
 class Tie:
     """A registered pair: the pose between its views, about which place, and how the surfaces resist a motion."""
