@@ -86,6 +86,7 @@ class Instruments:
     def numbers(self, cell, again):
         """Every number of one cell of the study; None where it is refused."""
         self.rng, self.left = (np.random.default_rng([cell, 17]), iter(self.kept)) if again else (None, iter(()))
+        compound._drawn_cell.cache_clear()  # calibrate anew, from the moved measurements
         if not again:
             self.kept.clear()
         try:
