@@ -14,6 +14,7 @@ from grindvision_book.machinery.chapters import chapters
 from grindvision_book.machinery.evidence import holds
 from grindvision_book.machinery.places import FIGURES, ROOT
 from grindvision_book.site.chapter_pages import scoreboard_html
+from grindvision_book.site.downloads import notebook_links
 from grindvision_book.site.evidence_page import strip
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
 from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
@@ -102,6 +103,23 @@ def test_every_chapter_begins_with_its_rows_of_the_scoreboard(whole_site):
         assert page.count('class="verdict') + page.count("class='verdict") == len(rows)
         if len(rows):
             assert page.index("What the numbers of this chapter are worth") < page.index("What you will learn")
+
+
+def test_every_chapter_and_exercise_is_there_to_download_as_it_stands_in_the_repository(whole_site, pages):
+    for number, chapter in chapters().items():
+        for name in (chapter.name, f"exercises/{chapter.name}"):
+            if not (ROOT / "notebooks" / name).exists():
+                continue
+            assert (whole_site / "downloads" / name).read_bytes() == (ROOT / "notebooks" / name).read_bytes(), number
+            links = pages[f"notebooks/{name.removesuffix('.ipynb')}.html"].links
+            assert any(link.endswith(f"downloads/{name}") for link in links), name
+
+
+def test_binder_and_colab_are_offered_where_the_book_has_an_address():
+    links = notebook_links("03_a.ipynb", "../", "https://github.com/owner/name")
+    assert "mybinder.org/v2/gh/owner/name/HEAD?labpath=notebooks/03_a.ipynb" in links
+    assert "github/owner/name/blob/HEAD/notebooks/03_a.ipynb" in links
+    assert "http" not in notebook_links("03_a.ipynb", "../", "")
 
 
 def test_a_verdict_is_told_in_words():

@@ -18,6 +18,7 @@ from grindvision_book.machinery.answers import write_scoreboard
 from grindvision_book.machinery.kept import installed
 from grindvision_book.machinery.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
+from grindvision_book.site.downloads import notebook_links, repository
 from grindvision_book.site.evidence_page import evidence_page
 from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
@@ -95,17 +96,22 @@ def build_site(
         page = scene.write(sources / "scenes")
         (extra / "scenes").mkdir(parents=True, exist_ok=True)
         shutil.move(page, extra / "scenes" / page.name)
+    shutil.copytree(notebooks, extra / "downloads", ignore=_no_chapter_or_exercise, dirs_exist_ok=True)
     if reference:
         write_reference(sources / "api")
     _write_index(sources, light)
     unfinished = site.with_name(f".{site.name}-unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
-    _run_sphinx(sources, build / "doctrees", unfinished, [str(extra)] if scenes else [])
+    _run_sphinx(sources, build / "doctrees", unfinished, [str(extra)])
     record.unlink(missing_ok=True)
     shutil.rmtree(site, ignore_errors=True)
     unfinished.rename(site)
     write_json(record, {"inputs": inputs, "pages": _digest_of(site)})
     return site / "index.html"
+
+
+def _no_chapter_or_exercise(folder: str, names: list[str]) -> list[str]:
+    return [name for name in names if not re.match(r"\d\d_.*\.ipynb$|exercises$", name)]
 
 
 def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) -> None:
@@ -178,6 +184,7 @@ def _gather(
     Returns the light copies of the pictures, as ``light_copies`` does.
     """
     import nbformat
+    from nbformat.v4 import new_markdown_cell
 
     shutil.rmtree(sources, ignore_errors=True)
     shutil.copytree(FIGURES, sources / "figures")
@@ -194,6 +201,7 @@ def _gather(
     for scene in scenes:
         for figure in scene.figures:
             links[figure] = links.get(figure, "") + scene_link(scene, "../")
+    address = repository()
     titles: dict[str, str] = {}
     for chapter in sorted(notebooks.glob("[0-9][0-9]_*.ipynb")):
         number, copy = chapter.name[:2], executed / chapter.name
@@ -201,11 +209,17 @@ def _gather(
         title = re.search(r"^# (.+)$", notebook.cells[0].source, re.MULTILINE)
         titles[number] = f"[{title[1] if title else chapter.stem}](notebooks/{chapter.name})"
         readable(notebook, board[board["chapter"] == number], drawn, light, links)
+        notebook.cells.insert(1, new_markdown_cell(notebook_links(chapter.name, "../", address), id="take"))
         nbformat.write(notebook, sources / "notebooks" / chapter.name)
 
     exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
     if exercises:
-        shutil.copytree(notebooks / "exercises", sources / "notebooks" / "exercises")
+        for exercise in exercises:
+            notebook = nbformat.read(exercise, as_version=4)
+            links_cell = new_markdown_cell(notebook_links(f"exercises/{exercise.name}", "../../", address), id="take")
+            notebook.cells.insert(1, links_cell)
+            (sources / "notebooks" / "exercises").mkdir(exist_ok=True)
+            nbformat.write(notebook, sources / "notebooks" / "exercises" / exercise.name)
     for text in (*_TEXTS, *_LINKED):
         if (ROOT / text).exists():
             (sources / text).parent.mkdir(parents=True, exist_ok=True)
