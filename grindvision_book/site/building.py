@@ -52,7 +52,7 @@ _CONTENTS = {
     "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
     "peng2020: welding": ("10", "11"),
     "Your own scans and arm": ("12", "13", "examples", "when_it_does_not_work"),
-    "Teaching": ("teachers_guide", "exercises"),
+    "Teaching": ("teachers_guide", "lessons", "exercises"),
     "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
     "Reference": (
         "conventions", "glossary", "api/index", "data/README", "references", "CHANGELOG",
