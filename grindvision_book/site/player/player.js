@@ -132,16 +132,25 @@ function go(step, still = false) {
   part("number").textContent = number;
   document.body.dataset.step = String(at);
   showLayers();
+  ask();
 }
 
 function play(on) {
   playing = on;
   part("play").textContent = on ? "❚❚ Pause" : "▶ Play";
   document.body.dataset.playing = String(on);
+  ask();
   if (on && at === data.steps.length - 1) go(0);
 }
 
+let asked = false; // a picture is drawn only when something has changed
+function ask() {
+  if (!asked) requestAnimationFrame(draw);
+  asked = true;
+}
+
 function draw(now) {
+  asked = false;
   const done = Math.min((now - began) / MOVE_MS, 1);
   const eased = done * done * (3 - 2 * done);
   if (from) {
@@ -163,7 +172,7 @@ function draw(now) {
   }
   controls.update();
   renderer.render(scene, camera);
-  requestAnimationFrame(draw);
+  if (from || playing) ask();
 }
 
 function fit() {
@@ -173,6 +182,7 @@ function fit() {
   camera.aspect = width / Math.max(height, 1);
   camera.fov = 30 * Math.max(1, 1.35 / camera.aspect); // a narrow screen sees as much from side to side
   camera.updateProjectionMatrix();
+  ask();
 }
 
 layers.forEach((layer) => {
@@ -181,6 +191,7 @@ layers.forEach((layer) => {
   box.addEventListener("change", () => {
     layer.off = !box.checked;
     showLayers();
+    ask();
   });
   const swatch = document.createElement("i");
   swatch.style.background = layer.colour;
@@ -196,6 +207,7 @@ part("play").addEventListener("click", () => play(!playing));
 part("back").addEventListener("click", () => (play(false), go(Math.max(at - 1, 0))));
 part("next").addEventListener("click", () => (play(false), go(Math.min(at + 1, data.steps.length - 1))));
 controls.addEventListener("start", () => (held = true));
+controls.addEventListener("change", ask);
 window.addEventListener("resize", fit);
 new ResizeObserver(fit).observe(part("stage"));
 
@@ -205,4 +217,3 @@ camera.up.copy(views[0].up);
 fit();
 go(0, true);
 part("caption").textContent = data.caption;
-requestAnimationFrame(draw);
