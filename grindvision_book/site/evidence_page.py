@@ -20,9 +20,7 @@ _HEAD = (
     ("verdict", ""),
     ("quantity", ""),
     ("paper | rebuilt", ""),
-    ("paper", "wide-only"),
-    ("rebuilt", "wide-only"),
-    ("bound", "wide-only"),
+    ("paper; rebuilt; bound", "wide-only"),
     ("evidence", "wide-only"),
 )
 
@@ -58,8 +56,8 @@ def evidence_table(rows: pd.DataFrame) -> str:
         quantity = html.escape(f"{row.item}: {row.quantity}", quote=False)
         trivial_mark = "<br><small>a trivial answer passes too</small>" if trivial == "yes" else ""
         cells = [verdict, quantity + trivial_mark, strip(row)]
-        cells += [f"{_number(value)}{unit if value == value else ''}" for value in (row.paper, row.rebuilt)]
-        cells += [html.escape(bound_text(row)), html.escape(row.evidence, quote=False)]
+        values = (_number(row.paper) or "not printed", f"{_number(row.rebuilt)}{unit}", html.escape(bound_text(row)))
+        cells += ["; ".join(value for value in values if value), html.escape(row.evidence, quote=False)]
         data = f"data-class='{html.escape(row.evidence)}' data-chapter='{row.chapter}' data-verdict='{row.verdict}'"
         cells = [f"<td class='{kind}'>{text}</td>" for text, (_, kind) in zip(cells, _HEAD, strict=True)]
         lines.append(f"<tr {data}>{''.join(cells)}</tr>")

@@ -303,7 +303,7 @@ def _some(rows: NDArray[Scalar], most: int) -> NDArray[Scalar]:
 PLAYBACKS = (
     Playback(
         "pipeline_grinding",
-        "From two scans to a path in the robot's frame, step by step",
+        "From two scans to a path in the robot's frame",
         "The detection of experiment 4 step by step: play it, or move the slider. Sample scanner's frame laid flat, "
         f"mm; synthetic twin, seed {SEED}, every third pixel.",
         ("fig07", "table3_path", "table4_scene", "fig09"),
@@ -311,7 +311,7 @@ PLAYBACKS = (
     ),
     Playback(
         "pipeline_welding",
-        "From a cloud to the way points of a weld, step by step",
+        "From a cloud to the way points of a weld",
         "The groove of the curved piece, by the paper's method and ours, and the torch's way points. Camera frame "
         f"turned towards the reader, mm; synthetic, seed {SEED}, every second pixel.",
         ("peng_fig12", "peng_fig13"),
