@@ -1,15 +1,21 @@
 """Scans of a part after grinding, made from scans before it: every point goes down with what a process took off."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from grindvision.geometry import inverse, move_points
 from grindvision.geometry.height_map import HeightMap
-from grindvision.motion.grinding import simulate_passes
+from grindvision.motion.grinding import GrindingPlan, simulate_passes
+
+Floats = NDArray[np.float64]
 
 
-def refined(grid, times):
+def refined(grid: HeightMap, times: int) -> HeightMap:
     """The same map with so many times as many nodes along each side."""
     x, y = (np.arange((count - 1) * times + 1) * grid.spacing_mm / times for count in grid.shape)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -20,7 +26,14 @@ def refined(grid, times):
     return HeightMap(grid.T_scan_map, grid.spacing_mm / times, ground, normals.reshape(*shape, 3), heights)
 
 
-def ground_points(points, plan, factor=1.0, T_test_points=None, heights=None, times=4):
+def ground_points(
+    points: Floats,
+    plan: GrindingPlan,
+    factor: float = 1.0,
+    T_test_points: Floats | None = None,
+    heights: Callable[[Floats, Floats], Floats] | None = None,
+    times: int = 4,
+) -> Floats:
     """Points (N, 3) of a scan after the plan's passes, with ``factor`` times the planned removal.
 
     ``T_test_points`` leads from their frame into the one the plan was made in (left out: the same). ``heights``: the
