@@ -9,7 +9,7 @@ import pytest
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.geometry import move_points, random_rotation, rigid
 from grindvision.vision.change.detection import DetectOptions, detect
-from grindvision.vision.registration import verification
+from grindvision.vision.registration import pose_candidates
 from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.surface.dominant_plane import plane_fraction
 from grindvision.vision.surface.surfels import build_surfels
@@ -73,7 +73,7 @@ def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
 @pytest.mark.parametrize(("agreeing", "contradicting"), [(0.44, 0.29), (0.2, 0.1), (0.1, 0.05), (0.5, 0.45)])
 def test_a_refusal_names_a_bound_that_was_missed(case, agreeing, contradicting, monkeypatch):
     found = Agreement(agreeing, contradicting)
-    monkeypatch.setattr(verification, "agreement", lambda *_: found)
+    monkeypatch.setattr(pose_candidates.PoseJudge, "agreement", lambda *_: found)
     with pytest.raises(DegenerateError, match="do not fit") as refusal:
         detect(case.sample, case.test)
     overlap, share, least_overlap, least_share = map(int, re.findall(r"(\d+)%", str(refusal.value)))

@@ -41,6 +41,10 @@ ALONE = 0.9
 """Scans that are ambiguous as they are do fit as a mirror image where that fits in one pose alone, this surely."""
 
 
+SURE = 0.9
+"""A pose of less confidence is given with a warning that names its rival's motion."""
+
+
 @by_content
 @dataclass(frozen=True)
 class RegisterOptions:
@@ -188,6 +192,14 @@ def register_pair(
             ) from None
         raise
     clock.lap("verification")
+    if coarse.confidence < SURE:
+        rival = f"{coarse.rival_motion} fits nearly as well" if coarse.rival_motion else "much contradicts it"
+        warnings.warn(
+            f"the pose is right with a confidence of {coarse.confidence:.2f} only: {rival}; look at the picture before"
+            " the part is ground, or scan what tells the two apart",
+            GrindvisionWarning,
+            stacklevel=2,
+        )
     fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)

@@ -1,0 +1,128 @@
+"""A scan as its scanner saw it: a depth image, the nearest surface about each of its pixels, and what it enclosed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.kernels import njit
+from grindvision.vision.surface.scan import Scan
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+PIXEL_CELLS = 1.0
+"""Edge of a depth image's pixel in surfels: nearly every pixel on the surface then holds a point."""
+
+MIN_SHOWN = 8
+"""Of the nine pixels about a place, so many must be filled for a scanner to have looked past it."""
+
+
+class DepthImage(NamedTuple):
+    """A scan as its scanner saw it. ``known``: whether the scanner's place is; ``viewpoint`` (3,), ``axes`` (3, 3) rows
+    right, up, ahead; ``pixel`` tangent per pixel, ``low`` (2,) first pixel; ``front`` (H, W): least depth of the nine
+    pixels about each, minus infinity where fewer than ``MIN_SHOWN`` are filled; ``hole`` (H, W): empty and enclosed;
+    ``empty`` (H, W)."""
+
+    known: bool
+    viewpoint: Floats
+    axes: Floats
+    pixel: float
+    low: Integers
+    front: Floats
+    hole: NDArray[np.bool_]
+    empty: NDArray[np.bool_]
+
+
+def depth_image(scan: Scan) -> DepthImage:
+    """The scan's surfels as a depth image from its viewpoint; an empty one where that is not known."""
+    surfels = scan.surfels
+    if scan.viewpoint_mm is None:
+        nothing = np.zeros((1, 1))
+        return DepthImage(False, np.zeros(3), np.eye(3), 1.0, np.zeros(2, np.int64), nothing, nothing > 0, nothing == 0)
+    viewpoint = np.asarray(scan.viewpoint_mm, dtype=float)
+    middle = surfels.points.mean(axis=0) - viewpoint
+    distance = float(np.linalg.norm(middle))
+    ahead = middle / distance
+    axes = np.vstack([np.linalg.svd(ahead[None])[2][1:], ahead])
+    pixel = PIXEL_CELLS * surfels.grid.size_mm / distance
+    low, high = _pixel_bounds(surfels.points, viewpoint, axes, pixel)
+    depth = np.full(tuple(high - low), np.inf)
+    _enter_depths(scan.points, viewpoint, axes, pixel, low, depth)
+    front, hole = _front_and_holes(depth)
+    return DepthImage(True, viewpoint, axes, pixel, low, front, hole, np.isinf(depth))
+
+
+@njit(cache=True, nogil=True)
+def _pixel_bounds(points: Floats, viewpoint: Floats, axes: Floats, pixel: float) -> tuple[Integers, Integers]:
+    """First pixel (2,) and the one behind the last (2,) of an image of points (N, 3), with an empty rim of two."""
+    low, high = np.full(2, np.int64(1) << 40), np.full(2, -(np.int64(1) << 40))
+    for p in range(len(points)):
+        depth = 0.0
+        for k in range(3):
+            depth += axes[2, k] * (points[p, k] - viewpoint[k])
+        if depth <= 0:
+            continue
+        for a in range(2):
+            across = 0.0
+            for k in range(3):
+                across += axes[a, k] * (points[p, k] - viewpoint[k])
+            spot = np.int64(np.round(across / depth / pixel))
+            low[a], high[a] = min(low[a], spot), max(high[a], spot)
+    return low - 2, high + 3
+
+
+@njit(cache=True, nogil=True)
+def _enter_depths(points: Floats, viewpoint: Floats, axes: Floats, pixel: float, low: Integers, image: Floats) -> None:
+    """Enter the least depth of points (N, 3) into an ``image`` (H, W) whose first pixel is ``low``."""
+    for p in range(len(points)):
+        x, y, z = points[p, 0] - viewpoint[0], points[p, 1] - viewpoint[1], points[p, 2] - viewpoint[2]
+        depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+        if depth <= 0:
+            continue
+        i = np.int64(np.round((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth / pixel)) - low[0]
+        j = np.int64(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel)) - low[1]
+        if 0 <= i < image.shape[0] and 0 <= j < image.shape[1] and depth < image[i, j]:
+            image[i, j] = depth
+
+
+@njit(cache=True, nogil=True)
+def _front_and_holes(depth: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """``front`` and ``hole`` of a depth image (H, W) with infinity in its empty pixels; its rim is empty."""
+    height, width = depth.shape
+    front = np.full((height, width), -np.inf)
+    outside = np.zeros((height, width), dtype=np.bool_)
+    clear = np.zeros((height, width), dtype=np.bool_)
+    for i in range(height):
+        for j in range(width):
+            shown, least = 0, np.inf
+            for a in range(max(i - 1, 0), min(i + 2, height)):
+                for b in range(max(j - 1, 0), min(j + 2, width)):
+                    if np.isfinite(depth[a, b]):
+                        shown += 1
+                        least = min(least, depth[a, b])
+            if shown >= MIN_SHOWN:
+                front[i, j] = least
+            if 0 < i < height - 1 and 0 < j < width - 1 and np.isinf(depth[i, j]):
+                beside = (depth[i - 1, j], depth[i + 1, j], depth[i, j - 1], depth[i, j + 1])
+                clear[i, j] = (
+                    np.isinf(beside[0]) and np.isinf(beside[1]) and np.isinf(beside[2]) and np.isinf(beside[3])
+                )
+    # what an empty rim reaches through empty pixels is outside
+    stack = np.empty((4 * height * width + 1, 2), dtype=np.int64)
+    stack[0, 0], stack[0, 1] = 0, 0
+    outside[0, 0] = True
+    count = 1
+    while count > 0:
+        count -= 1
+        i, j = stack[count, 0], stack[count, 1]
+        for step in range(4):
+            a = i + (1 if step == 0 else -1 if step == 1 else 0)
+            b = j + (1 if step == 2 else -1 if step == 3 else 0)
+            if 0 <= a < height and 0 <= b < width and not outside[a, b] and np.isinf(depth[a, b]):
+                outside[a, b] = True
+                stack[count, 0], stack[count, 1] = a, b
+                count += 1
+    return front, clear & ~outside

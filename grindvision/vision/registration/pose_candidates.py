@@ -1,0 +1,159 @@
+"""Candidate poses of one scan on another: refined by point-to-plane ICP until they rest, and judged by ``evidence``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import DegenerateError
+from grindvision.geometry import angle_between, move_points
+from grindvision.geometry.hash_grid import random_order
+from grindvision.parallel import parallel_map
+from grindvision.vision.registration.agreement import Agreement, agreeing_share
+from grindvision.vision.registration.depth_image import depth_image
+from grindvision.vision.registration.evidence import AGREES, Evidence, judge, side
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
+from grindvision.vision.surface.scan import Scan
+from grindvision.vision.surface.surfels import Surfels
+
+Floats = NDArray[np.float64]
+
+SURE_AGREEMENT = 0.8
+"""Share of agreement from which nothing speaks against a pose itself."""
+
+MAX_HARD = 0.002
+"""Fraction of surfels in front of what the other scanner saw above which a better pose is sought longer."""
+
+REFINED, RESTING = 300, 1000
+"""Surfels that bring a proposed pose near, and to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A refined pose and its ``cost`` by the samples it was judged on; ``free``: whether it was found by a step along a
+    weak motion of the best pose."""
+
+    found: FineRegistration
+    cost: float
+    free: bool = False
+
+    @property
+    def pose(self) -> Floats:
+        """T_target_source (4, 4)."""
+        return self.found.T_target_source
+
+
+class PoseJudge:
+    """Refines and judges poses of one source scan on one target; what was judged once is remembered.
+
+    ``points`` and ``normals`` (N, 3) of some surfels of the source about ``centre``, ``extent`` their rms distance from
+    it; surfaces agree within ``within_mm``; ``surfels`` is the number of all surfels of both scans.
+    """
+
+    def __init__(self, source: Scan, target: Scan, rng: np.random.Generator, sample: int) -> None:
+        sides = [
+            side(scan, random_order(scan.surfels.grid.keys, draws)[:sample], depth_image(scan))
+            for scan, draws in zip((source, target), (rng, rng.spawn(1)[0]), strict=True)
+        ]
+        self.source, self.target = sides
+        self.points, self.normals = self.source.points[:RESTING], self.source.normals[:RESTING]
+        self.surfels = len(source.surfels) + len(target.surfels)
+        self.fine, self.coarse = target.surfels, target.voxels
+        self.within_mm = _tolerance(source.surfels, target.surfels)
+        self.centre = self.points.mean(axis=0)
+        self.extent = float(np.sqrt(((self.points - self.centre) ** 2).sum(axis=1).mean()))
+        self._judged: dict[tuple[bytes, int | None], Evidence] = {}
+
+    def evidence(self, pose: Floats, count: int | None = RESTING) -> Evidence:
+        """What the first ``count`` samples of both scans, or all, say about a pose (4, 4)."""
+        asked = pose.tobytes(), count
+        if asked not in self._judged:
+            self._judged[asked] = judge(self.source, self.target, pose, self.within_mm, 0.5 * self.within_mm, count)
+        return self._judged[asked]
+
+    def agreement(self, pose: Floats) -> Agreement:
+        """Agreement of the side of which more could be seen by the other scanner."""
+        found = self.evidence(pose, None)
+        parts = [
+            Agreement(float((states == AGREES).mean()), float((states > AGREES).mean()))
+            for states in (found.states[: found.split], found.states[found.split :])
+        ]
+        return max(parts, key=lambda part: part.overlap)
+
+    def doubtful(self, best: Candidate) -> bool:
+        """Whether so much contradicts a pose that better ones are worth a longer search."""
+        return self.evidence(best.pose).hard > MAX_HARD or self.agreement(best.pose).share < SURE_AGREEMENT
+
+    def refined(self, pose: Floats, free: bool = False, far: bool = False) -> Candidate | None:
+        """Coarse-to-fine ICP of a few surfels from ``pose``, which may be ``far`` off; None when the scans do not meet
+        there."""
+        points, normals = self.points[:REFINED], self.normals[:REFINED]
+        voxel, size = self.coarse.grid.size_mm, self.fine.grid.size_mm
+        try:
+            if far:
+                fewer, their_normals = points[::3].copy(), normals[::3].copy()
+                near = icp_planes(fewer, their_normals, self.coarse, pose, 5 * voxel, voxel, iterations=8)
+                pose = near.T_target_source
+            found = icp_planes(points, normals, self.coarse, pose, 1.5 * voxel, self.within_mm, iterations=10)
+            pose = found.T_target_source
+            found = icp_planes(points, normals, self.fine, pose, 2 * size, self.within_mm / 3, iterations=12)
+        except DegenerateError:
+            return None
+        return Candidate(found, self.evidence(found.T_target_source, 500).cost(), free)
+
+    def refined_all(self, poses: Iterable[Floats], free: bool = False, far: bool = False) -> list[Candidate]:
+        """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""
+        return [one for one in parallel_map(lambda pose: self.refined(pose, free=free, far=far), poses) if one]
+
+    def at_rest(self, one: Candidate) -> Candidate | None:
+        """ICP of all ``points`` until the candidate rests."""
+        reach, floor = 1.5 * self.fine.grid.size_mm, self.within_mm / 3
+        try:
+            found = icp_planes(self.points, self.normals, self.fine, one.pose, reach, floor, iterations=60)
+        except DegenerateError:
+            return None
+        return Candidate(found, self.evidence(found.T_target_source).cost(), one.free)
+
+    def settled(self, candidates: Iterable[Candidate], kept: int = 4) -> list[Candidate]:
+        """The best few distinct candidates, brought to rest with more surfels, best first."""
+        chosen = self.distinct(candidates)[:kept]
+        return self.distinct(one for one in parallel_map(self.at_rest, chosen) if one)
+
+    def distinct(self, candidates: Iterable[Candidate]) -> list[Candidate]:
+        """Candidates, best first, less those that differ from no better one."""
+        chosen: list[Candidate] = []
+        for one in sorted(candidates, key=lambda candidate: candidate.cost):
+            if all(self.differ(one.pose, other.pose) for other in chosen):
+                chosen.append(one)
+        return chosen
+
+    def ranked(self, candidates: Iterable[Candidate]) -> list[Candidate]:
+        """Candidates by the cost of all samples, best first."""
+        return sorted(
+            (replace(one, cost=self.evidence(one.pose, None).cost()) for one in candidates), key=lambda one: one.cost
+        )
+
+    def differ(self, pose: Floats, other: Floats, times: float = 1.0) -> bool:
+        """Whether two poses are apart by more than so many ``times`` 2 % of the extent or 2 degrees."""
+        translation = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
+        return bool(translation > times * 0.02 * self.extent or angle_between(pose, other) > times * np.radians(2))
+
+    def rough_shares(self, poses: Floats) -> Floats:
+        """Share (K,) of some surfels that agree roughly at each of ``poses`` (K, 4, 4)."""
+        some, normals, within = self.points[:REFINED], self.normals[:REFINED], 6 * self.within_mm
+        return np.array([agreeing_share(some, normals, self.coarse, pose, within) for pose in poses])
+
+    def residuals(self, pose: Floats) -> Floats:
+        """Distances (N,) of ``points`` along the target's normals, NaN where the surfaces do not meet."""
+        residuals, facing = plane_residuals(self.points, self.normals, self.fine, pose, 2 * self.fine.grid.size_mm)
+        return np.where(facing, residuals, np.nan)
+
+
+def _tolerance(source: Surfels, target: Surfels) -> float:
+    """Distance in mm within which two surfaces count as the same: their roughness, and a little of the cell size."""
+    rough = np.hypot(np.median(source.roughness_mm), np.median(target.roughness_mm))
+    return float(3 * rough + 0.1 * target.grid.size_mm)

@@ -1,0 +1,120 @@
+"""Rivals of a pose, sought on purpose where a part may look the same: the rotational symmetries of a box and of wheels,
+steps along the motions that the surface resists least, and full turns about the axes of near symmetries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.geometry import angle_between, inverse, rigid, rotation_about, rotation_axis, small_motion
+from grindvision.parallel import parallel_map
+from grindvision.vision.registration.global_registration import distinct_poses
+from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
+
+Floats = NDArray[np.float64]
+Axis = tuple[Floats, Floats]
+
+WEAK = 0.04
+"""A motion that so small a part of the surface resists is tried for a rival beside the best pose."""
+
+NEARLY = 0.02
+"""A rival whose cost per surfel is larger by no more than so much shows a near symmetry, whose axis is searched."""
+
+BOX_ROTATIONS = tuple(
+    rotation
+    for axes in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(rotation := np.eye(3)[list(axes)] * signs) > 0 and np.trace(rotation) < 3
+)
+"""The 23 rotations (3, 3) that bring a box back to its axes, but for none at all."""
+
+WHEEL_ROTATIONS = tuple(
+    rotation_about(axis, sign * 2 * np.pi / folds) for axis in np.eye(3) for folds in (3, 5, 7) for sign in (1, -1)
+)
+"""Rotations (3, 3) about the axes that bring wheels with 3, 5, 7 or so many times more spokes back to themselves; those
+of 2 and 4 are among the box's."""
+
+
+def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -> list[Candidate]:
+    """All distinct candidates at rest, best first: the ``known`` ones and the rivals of the best pose."""
+    found = [
+        *judge.refined_all(_rotated(judge, best, BOX_ROTATIONS), far=True),
+        *judge.refined_all(_rotated(judge, best, WHEEL_ROTATIONS), far=True),
+        *judge.refined_all(_stepped(judge, best), free=True),
+    ]
+    found = [one for one in found if judge.differ(one.pose, best.pose)]
+    near = [one for one in (*known, *found) if one.cost < best.cost + NEARLY and judge.differ(one.pose, best.pose)]
+    found += judge.refined_all(_turned(judge, best, near), far=True)
+    worth = [one for one in found if one.cost < best.cost + 2 * NEARLY]
+    return judge.distinct([*known, *judge.settled(worth, 6)])
+
+
+def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
+    """Twists (6, K) about the best pose's centre, mm and rad, that less than this part of the surface resists."""
+    scale = np.array([1, 1, 1, 1 / judge.extent, 1 / judge.extent, 1 / judge.extent])
+    information = best.found.information * np.outer(scale, scale)
+    values, directions = np.linalg.eigh(information)
+    weak = values < below * np.trace(information[:3, :3])
+    return directions[:, weak][:, :3] * scale[:, None]
+
+
+def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
+    """The best few poses (K, 4, 4) after ``rotations`` about the source's principal axes."""
+    _, axes = np.linalg.eigh(np.cov(judge.points.T))
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    to_centre, back = rigid(None, -judge.centre), rigid(None, judge.centre)
+    poses = np.stack([best.pose @ back @ rigid(axes @ rotation @ axes.T) @ to_centre for rotation in rotations])
+    rough = judge.rough_shares(poses)
+    order = np.argsort(-rough, kind="stable")
+    order = order[rough[order] > (0.25 if judge.doubtful(best) else 0.5) * judge.rough_shares(best.pose[None])[0]]
+    return distinct_poses(poses[order], rough[order], judge.centre, np.inf, np.radians(20), 4)[0]
+
+
+def _stepped(judge: PoseJudge, best: Candidate) -> list[Floats]:
+    """Poses a step to either side along the motions that the surface resists least."""
+    to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
+    return [
+        back @ small_motion(sign * 0.12 * judge.extent * twist) @ to_centre @ best.pose
+        for twist in weak_motions(judge, best).T
+        for sign in (1, -1)
+    ]
+
+
+def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps: int = 72) -> Floats:
+    """The likeliest poses (K, 4, 4) of full turns about the axes of near symmetries, and of the weakest motions."""
+    axes = [*_weak_axes(judge, best), *(axis for one in near[:2] if (axis := _axis_between(best, one)) is not None)]
+    turns = np.arange(1, steps) * 2 * np.pi / steps
+    poses = [
+        back @ rigid(rotation_about(axis, turn)) @ to_pivot @ best.pose
+        for axis, pivot in axes
+        for back, to_pivot in [(rigid(None, pivot), rigid(None, -pivot))]
+        for turn in turns
+    ]
+    if not poses:
+        return np.empty((0, 4, 4))
+    stacked = np.stack(poses)
+    stacked = stacked[judge.rough_shares(stacked) > 0.4 * judge.rough_shares(best.pose[None])[0]]
+    # by what contradicts, not by what overlaps: where the views coincide all turns of a ring do
+    costs = np.array(parallel_map(lambda pose: judge.evidence(pose, 400).cost(), stacked))
+    order = np.argsort(costs, kind="stable")
+    return distinct_poses(stacked[order], costs[order], judge.centre, 0.05 * judge.extent, np.radians(9), 12)[0]
+
+
+def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:
+    """Axis (3,) and a point (3,) on it of the weakest motions that are rotations."""
+    return [
+        (twist[3:], best.found.centre_mm + np.cross(twist[3:], twist[:3]) / (twist[3:] @ twist[3:]))
+        for twist in weak_motions(judge, best).T[:2]
+        if np.linalg.norm(twist[3:]) * judge.extent > 0.5
+    ]
+
+
+def _axis_between(one: Candidate, other: Candidate) -> Axis | None:
+    """Axis (3,) and a point (3,) on it of the rotation between two poses; None for hardly any rotation."""
+    motion = other.pose @ inverse(one.pose)
+    if angle_between(motion, np.eye(4)) < np.radians(4):
+        return None
+    return rotation_axis(motion[:3, :3]), np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ motion[:3, 3]
