@@ -19,12 +19,15 @@ PIXEL_CELLS = 1.0
 MIN_SHOWN = 8
 """Of the nine pixels about a place, so many must be filled for a scanner to have looked past it."""
 
+MAX_SLOPE = 1.0
+"""Depth gained per width across a hole in one surface; more is a jump from one surface to another."""
+
 
 class DepthImage(NamedTuple):
     """A scan as its scanner saw it. ``known``: whether the scanner's place is; ``viewpoint`` (3,), ``axes`` (3, 3) rows
     right, up, ahead; ``pixel`` tangent per pixel, ``low`` (2,) first pixel; ``front`` (H, W): least depth of the nine
-    pixels about each, minus infinity where fewer than ``MIN_SHOWN`` are filled; ``hole`` (H, W): empty and enclosed;
-    ``empty`` (H, W)."""
+    pixels about each, minus infinity where fewer than ``MIN_SHOWN`` are filled; ``bridge`` (H, W): over a hole in a
+    surface the depth that the surface would have there, else minus infinity; ``empty`` (H, W)."""
 
     known: bool
     viewpoint: Floats
@@ -32,7 +35,7 @@ class DepthImage(NamedTuple):
     pixel: float
     low: Integers
     front: Floats
-    hole: NDArray[np.bool_]
+    bridge: Floats
     empty: NDArray[np.bool_]
 
 
@@ -41,7 +44,7 @@ def depth_image(scan: Scan) -> DepthImage:
     surfels = scan.surfels
     if scan.viewpoint_mm is None:
         nothing = np.zeros((1, 1))
-        return DepthImage(False, np.zeros(3), np.eye(3), 1.0, np.zeros(2, np.int64), nothing, nothing > 0, nothing == 0)
+        return DepthImage(False, np.zeros(3), np.eye(3), 1.0, np.zeros(2, np.int64), nothing, nothing, nothing == 0)
     viewpoint = np.asarray(scan.viewpoint_mm, dtype=float)
     middle = surfels.points.mean(axis=0) - viewpoint
     distance = float(np.linalg.norm(middle))
@@ -51,8 +54,8 @@ def depth_image(scan: Scan) -> DepthImage:
     low, high = _pixel_bounds(surfels.points, viewpoint, axes, pixel)
     depth = np.full(tuple(high - low), np.inf)
     _enter_depths(scan.points, viewpoint, axes, pixel, low, depth)
-    front, hole = _front_and_holes(depth)
-    return DepthImage(True, viewpoint, axes, pixel, low, front, hole, np.isinf(depth))
+    bridge = _bridges(depth, pixel)
+    return DepthImage(True, viewpoint, axes, pixel, low, _fronts(depth), bridge, np.isinf(depth))
 
 
 @njit(cache=True, nogil=True)
@@ -89,12 +92,10 @@ def _enter_depths(points: Floats, viewpoint: Floats, axes: Floats, pixel: float,
 
 
 @njit(cache=True, nogil=True)
-def _front_and_holes(depth: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """``front`` and ``hole`` of a depth image (H, W) with infinity in its empty pixels; its rim is empty."""
+def _fronts(depth: Floats) -> Floats:
+    """``front`` (H, W) of a depth image with infinity in its empty pixels."""
     height, width = depth.shape
     front = np.full((height, width), -np.inf)
-    outside = np.zeros((height, width), dtype=np.bool_)
-    clear = np.zeros((height, width), dtype=np.bool_)
     for i in range(height):
         for j in range(width):
             shown, least = 0, np.inf
@@ -105,24 +106,34 @@ def _front_and_holes(depth: Floats) -> tuple[Floats, NDArray[np.bool_]]:
                         least = min(least, depth[a, b])
             if shown >= MIN_SHOWN:
                 front[i, j] = least
-            if 0 < i < height - 1 and 0 < j < width - 1 and np.isinf(depth[i, j]):
-                beside = (depth[i - 1, j], depth[i + 1, j], depth[i, j - 1], depth[i, j + 1])
-                clear[i, j] = (
-                    np.isinf(beside[0]) and np.isinf(beside[1]) and np.isinf(beside[2]) and np.isinf(beside[3])
-                )
-    # what an empty rim reaches through empty pixels is outside
-    stack = np.empty((4 * height * width + 1, 2), dtype=np.int64)
-    stack[0, 0], stack[0, 1] = 0, 0
-    outside[0, 0] = True
-    count = 1
-    while count > 0:
-        count -= 1
-        i, j = stack[count, 0], stack[count, 1]
-        for step in range(4):
-            a = i + (1 if step == 0 else -1 if step == 1 else 0)
-            b = j + (1 if step == 2 else -1 if step == 3 else 0)
-            if 0 <= a < height and 0 <= b < width and not outside[a, b] and np.isinf(depth[a, b]):
-                outside[a, b] = True
-                stack[count, 0], stack[count, 1] = a, b
-                count += 1
-    return front, clear & ~outside
+    return front
+
+
+@njit(cache=True, nogil=True)
+def _bridges(depth: Floats, pixel: float) -> Floats:
+    """``bridge`` (H, W) of a depth image with infinity in its empty pixels.
+
+    An empty pixel among empty ones is in a hole when along its row and along its column the surface goes on behind the
+    gap as it ended before it. Where the depth jumps across the gap, something nearer hid the surface from the scanner
+    or from its light, and the gap tells nothing.
+    """
+    bridge = np.full(depth.shape, np.inf)
+    for axis in range(2):
+        lines = depth if axis == 0 else depth.T
+        over = bridge if axis == 0 else bridge.T
+        for i in range(lines.shape[0]):
+            last = -1
+            for j in range(lines.shape[1]):
+                if np.isinf(lines[i, j]):
+                    continue
+                before = lines[i, last] if last >= 0 else np.inf
+                step = (lines[i, j] - before) / max(j - last, 1)
+                level = abs(step) < MAX_SLOPE * pixel * lines[i, j]
+                for between in range(last + 1, j):
+                    inside = level and last + 1 < between < j - 1
+                    depth_there = before + step * (between - last) if inside else -np.inf
+                    over[i, between] = min(over[i, between], depth_there)
+                over[i, j] = -np.inf
+                last = j
+            over[i, last + 1 :] = -np.inf
+    return bridge

@@ -170,7 +170,7 @@ def _judged(one: Side, other: Side, m: Floats, within: float, sigma: float, most
             states[p] = ABSENT
         elif depth < image.front[i, j] - 3 * within:
             states[p] = IN_FRONT
-        elif image.hole[i, j]:
+        elif depth < image.bridge[i, j] + 0.5 * size:
             states[p] = IN_HOLE
         elif q >= 0:
             states[p], losses[p] = CROSSES, CROSSING_LOSS
