@@ -24,6 +24,7 @@ from grindvision.geometry.transforms import (
     rotation_axis,
     skew,
     small_motion,
+    twist_between,
     unit_vectors,
     vector_angle,
 )
@@ -53,6 +54,7 @@ __all__ = [
     "rotation_axis",
     "skew",
     "small_motion",
+    "twist_between",
     "unit_vectors",
     "vector_angle",
 ]

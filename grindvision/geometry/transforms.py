@@ -142,6 +142,19 @@ def small_motion(twist: ArrayLike) -> Floats:
     return rigid(_rotation(twist[3:]), twist[:3])
 
 
+def twist_between(T_from: ArrayLike, T_to: ArrayLike, centre_mm: ArrayLike) -> Floats:
+    """The motion (6,) that leads from one pose (4, 4) to another: translation in mm of the point ``centre_mm`` (3,),
+    which the first pose has moved there, then rotation vector in rad; the inverse of ``small_motion`` about it."""
+    motion = np.asarray(T_to, dtype=float) @ inverse(T_from)
+    centre = np.asarray(centre_mm, dtype=float)
+    matrix = motion[:3, :3]
+    sense = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
+    sine, cosine = float(np.linalg.norm(sense)), (np.trace(matrix) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    rotation = rotation_axis(matrix) * angle if cosine < 0 else sense * (angle / sine if sine > 0 else 1.0)
+    return np.concatenate([matrix @ centre + motion[:3, 3] - centre, rotation])
+
+
 def random_rotation(rng: np.random.Generator) -> Floats:
     """Rotation matrix (3, 3) drawn uniformly from all rotations."""
     from scipy.spatial.transform import Rotation

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.geometry import move_points, rigid, rotate_vectors, small_motion
+from grindvision.geometry import move_points, rigid, rotate_vectors, small_motion, twist_between
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.signed_distance import CellBlocks, signed_distances
@@ -32,7 +32,7 @@ a thirtieth of it, less than where single points come and go beside the target's
 
 
 def refine_bent(
-    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 8
+    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 60
 ) -> FineRegistration:
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 
@@ -40,8 +40,9 @@ def refine_bent(
 
     The covariance of the result holds for correlated errors: blocks of a twelfth of the extent count as independent,
     not single residuals. The hidden covariance guesses, from the bends that show, at the part of the field that looks
-    like a motion: a constant and two slopes. What moves both scans alike (a scale error, an offset of the depth) leaves
-    no trace in either and is in none of them.
+    like a motion: a constant and two slopes; and it holds how far the bending moved the pose from ``start``, where ICP
+    without it came to rest: along motions that the surface hardly resists, either may be right. What moves both scans
+    alike (a scale error, an offset of the depth) leaves no trace in either and is in none of them.
     """
     source, normals = np.asarray(source, dtype=float), np.asarray(source_normals, dtype=float)
     size = target.grid.size_mm
@@ -62,12 +63,13 @@ def refine_bent(
         done += 1
         shift = np.abs(solution[:3]).max() + np.abs(solution[3:6]).max() * np.abs(moved - centre).max()
         rests = shift < AT_REST * spread
-    mistaken = _solved(information, design.T @ (weights[:, None] * hidden)) * _hidden_sizes(solution[6:])
+    mistaken = _solved(information, design.T @ (weights[:, None] * hidden))[:6] * _hidden_sizes(solution[6:])
+    mistaken = np.column_stack([mistaken, twist_between(start.T_target_source, transform, centre)])
     covariance = block_covariance(moved, design, residual + design @ solution, weights, information)
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
         iterations=start.iterations + done, covariance=covariance[:6, :6],
-        hidden_covariance=mistaken[:6] @ mistaken[:6].T,
+        hidden_covariance=mistaken @ mistaken.T,
         mean_squares_mm2=np.append(start.mean_squares_mm2, spread**2),
     )  # fmt: skip
 

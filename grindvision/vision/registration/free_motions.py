@@ -5,9 +5,26 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.geometry import angle_between, inverse, move_points, rotation_axis
+from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_axis, skew, small_motion
+from grindvision.vision.registration.icp import FineRegistration
 
 Floats = NDArray[np.float64]
+
+
+def least_known_motion(found: FineRegistration, points: Floats) -> tuple[float, Floats]:
+    """How far in mm, by one standard deviation of the pose, any of a source's points (N, 3) may lie off, and the pose
+    (4, 4) moved by that deviation. Infinite, and the pose itself, where the covariance is not known."""
+    covariance = found.total_covariance
+    if not np.isfinite(covariance).all():
+        return np.inf, found.T_target_source
+    arms = move_points(found.T_target_source, points) - found.centre_mm
+    jacobians = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -skew(arms)], axis=2)
+    squares, directions = np.linalg.eigh(jacobians @ covariance @ jacobians.transpose(0, 2, 1))
+    worst = int(np.argmax(squares[:, -1]))
+    sigma = float(np.sqrt(max(squares[worst, -1], 0.0)))
+    twist = covariance @ jacobians[worst].T @ directions[worst, :, -1] / max(sigma, 1e-300)
+    to_centre, back = rigid(None, -found.centre_mm), rigid(None, found.centre_mm)
+    return sigma, back @ small_motion(twist) @ to_centre @ found.T_target_source
 
 
 def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: float) -> str:

@@ -16,6 +16,7 @@ from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
+from grindvision.vision.registration.free_motions import least_known_motion, motion_name
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
@@ -40,6 +41,9 @@ CERTAIN = 0.5
 ALONE = 0.9
 """Scans that are ambiguous as they are do fit as a mirror image where that fits in one pose alone, this surely."""
 
+
+HARDLY_KNOWN, OPEN = 0.01, 0.06
+"""Standard deviations of a point's place, as fractions of the scan's extent, above which it is said, and refused."""
 
 SURE = 0.9
 """A pose of less confidence is given with a warning that names its rival's motion."""
@@ -192,17 +196,44 @@ def register_pair(
             ) from None
         raise
     clock.lap("verification")
-    if coarse.confidence < SURE:
-        rival = f"{coarse.rival_motion} fits nearly as well" if coarse.rival_motion else "much contradicts it"
-        warnings.warn(
-            f"the pose is right with a confidence of {coarse.confidence:.2f} only: {rival}; look at the picture before"
-            " the part is ground, or scan what tells the two apart",
-            GrindvisionWarning,
-            stacklevel=2,
-        )
     fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
+    _say_doubts(prepared_source, coarse, fine)
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
+
+
+def _say_doubts(source: Scan, coarse: VerifiedPose, fine: FineRegistration) -> None:
+    """Say what the pose may be instead: a rival's, or one along a motion that the surface hardly resists.
+
+    Raises:
+        AmbiguousError: along that motion nearly anything fits.
+
+    Warns:
+        GrindvisionWarning: a rival that fits nearly as well; a standard deviation that is large.
+    """
+    points = source.surfels.points[:: max(1, len(source.surfels) // 500)]
+    extent = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    sigma, deviated = least_known_motion(fine, points)
+    motion = motion_name(deviated, fine.T_target_source, points.mean(axis=0), extent) if np.isfinite(sigma) else ""
+    if sigma > OPEN * extent:
+        raise AmbiguousError(
+            f"the registration is ambiguous: {motion or 'some motion'} fits as well, as the scanners' own small errors"
+            " say; scan more of the part, or a side that fixes it there"
+        )
+    doubts = []
+    if sigma > HARDLY_KNOWN * extent:
+        doubts.append(
+            f"the pose is known to {sigma:.2g} mm only (one standard deviation), along {motion}: the part shows little"
+            " that fixes it there, and path points may be off by as much; scan more of the part"
+        )
+    if coarse.confidence < SURE:
+        rival = f"{coarse.rival_motion} fits nearly as well" if coarse.rival_motion else "much contradicts it"
+        doubts.append(
+            f"the pose is right with a confidence of {coarse.confidence:.2f} only: {rival}; look at the picture before"
+            " the part is ground, or scan what tells the two apart"
+        )
+    for doubt in doubts:
+        warnings.warn(doubt, GrindvisionWarning, stacklevel=3)
 
 
 def without_strays(points: Floats, name: str) -> Floats:
@@ -251,7 +282,8 @@ def refine(
     chosen = np.sort(random_order(source.surfels.grid.keys, rng)[:n_surfels])  # neighbours in a row share the cache
     places, normals = source.surfels.points[chosen], source.surfels.normals[chosen]
     size = target.surfels.grid.size_mm
-    found = icp_planes(places, normals, target.surfels, coarse.registration.T_target_source, 2 * size)
+    start = coarse.registration.T_target_source
+    found = icp_planes(places, normals, target.surfels, start, 2 * size, iterations=100)
     return refine_bent(places, normals, target.surfels, found)
 
 
