@@ -128,7 +128,10 @@ def _bridges(depth: Floats, pixel: float) -> Floats:
                     continue
                 before = lines[i, last] if last >= 0 else np.inf
                 step = (lines[i, j] - before) / max(j - last, 1)
-                level = abs(step) < MAX_SLOPE * pixel * lines[i, j]
+                steep = MAX_SLOPE * pixel * lines[i, j]
+                level = abs(step) < steep and last + 1 < j and last > 0 and j + 1 < lines.shape[1]
+                if level:  # a single pixel of the hidden surface beside what hides it
+                    level = abs(before - lines[i, last - 1]) < steep and abs(lines[i, j + 1] - lines[i, j]) < steep
                 for between in range(last + 1, j):
                     inside = level and last + 1 < between < j - 1
                     depth_there = before + step * (between - last) if inside else -np.inf

@@ -1,0 +1,104 @@
+"""What speaks for a pose and against it: depth images, rivals, motions that are hardly known."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from grindvision.errors import AmbiguousError
+from grindvision.geometry import inverse, move_points, rigid, rotation_about, small_motion, twist_between
+from grindvision.vision.registration import depth_image as images
+from grindvision.vision.registration.evidence import ABSENT, AGREES, IN_FRONT, IN_HOLE, UNSEEN
+from grindvision.vision.registration.free_motions import least_known_motion
+from grindvision.vision.registration.pose_candidates import PoseJudge
+from grindvision.vision.registration.scan_registration import RegisterOptions, register
+from grindvision.vision.surface.scan import prepare_pair
+from tests.grinding_scene import pair
+
+CELL = 1.0
+
+
+def image_of(height, hidden=None):
+    """Depth (mm) of a surface at 400 mm less ``height(x, y)``, in pixels of 1 mm, infinite where ``hidden``."""
+    x, y = np.meshgrid(np.arange(-40.0, 41), np.arange(-30.0, 31), indexing="ij")
+    depth = 400 - height(x, y)
+    if hidden is not None:
+        depth[hidden(x, y)] = np.inf
+    depth[[0, -1]], depth[:, [0, -1]] = np.inf, np.inf
+    return x, y, depth
+
+
+def test_a_hole_in_a_tilted_plane_is_bridged_at_the_planes_own_depth():
+    x, y, depth = image_of(lambda x, y: 0.4 * x - 0.2 * y, lambda x, y: np.hypot(x - 5, y) < 8)
+    bridge = images._bridges(depth, CELL / 400)
+    inside = np.hypot(x - 5, y) < 6
+    np.testing.assert_allclose(bridge[inside], (400 - 0.4 * x + 0.2 * y)[inside], atol=1e-9)
+    assert np.isneginf(bridge[np.hypot(x - 5, y) > 9]).all()
+
+
+@pytest.mark.parametrize("start", [-0.5, 0.5])
+def test_a_shadow_beside_a_wall_is_no_hole(start):
+    """A wall 20 mm high hides a strip of the floor: along the rows the depth jumps across the gap."""
+    _, _, depth = image_of(lambda x, y: np.where(x < 0, 20.0, 0.0), lambda x, y: (x > start) & (x < 9) & (abs(y) < 20))
+    assert np.isneginf(images._bridges(depth, CELL / 400)).all()
+
+
+def holed(points, T_test_part):
+    """A scan less what lies over a round hole of the part."""
+    at = move_points(inverse(T_test_part), points)
+    return points[np.hypot(at[:, 0] - 10, at[:, 1] + 25) > 12]
+
+
+def test_a_pose_is_contradicted_in_front_of_what_was_seen_and_over_holes():
+    case = pair(seed=2, n_points=30_000)
+    T_sample_part = case.T_sample_test @ case.T_test_part
+    test, sample = prepare_pair(case.test, holed(case.sample, T_sample_part), (np.zeros(3), np.zeros(3)))
+    judge = PoseJudge(test, sample, np.random.default_rng(0), 4000)
+    truth = judge.evidence(case.T_sample_test, None).states
+    nearer = judge.evidence(rigid(None, [0, 0, -8.0]) @ case.T_sample_test, None).states
+    share = {state: (truth == state).mean() for state in (UNSEEN, ABSENT, AGREES, IN_FRONT, IN_HOLE)}
+    assert share[AGREES] > 0.9
+    assert share[IN_FRONT] < 0.001
+    assert 0.004 < share[IN_HOLE] < 0.02  # 1.6 % of the test scan lie over the hole, less its rim
+    assert (nearer == IN_FRONT).mean() > 0.3
+
+
+def test_a_twist_between_two_poses_is_the_small_motion_that_leads_there(rng):
+    centre = rng.normal(size=3) * 100
+    start = rigid(rotation_about(rng.normal(size=3), 1.0), rng.normal(size=3) * 50)
+    for angle in (0.0, 1e-9, 1e-3, 1.0, 3.1):
+        twist = np.concatenate([rng.normal(size=3), angle * np.array([0.6, 0.0, 0.8])])
+        end = rigid(None, centre) @ small_motion(twist) @ rigid(None, -centre) @ start
+        np.testing.assert_allclose(twist_between(start, end, centre), twist, atol=1e-9, rtol=1e-7)
+
+
+def groove_plate(seed, bend_mm):
+    """A plate with two long ribs along x: nothing but its ends, which are beside the picture, fixes it along x."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-90, 90, 40_000), rng.uniform(-40, 40, 40_000)
+    height = sum(5 / (1 + np.exp((np.abs(y - at) - 5) / 0.8)) for at in (-15.0, 20.0)) + 0.004 * y**2
+    height += 0.35 * np.exp(-((x - 20) ** 2 + (y - 3) ** 2) / 900)  # hardly a bump: a weak hold along x
+    height += bend_mm * np.sin(x / 40 + seed)
+    return np.column_stack([x, y, 400 - height + rng.normal(0, 0.03, len(x))])
+
+
+def test_a_motion_that_bending_decides_is_said_or_refused():
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            found = register(groove_plate(0, 0.05), groove_plate(1, 0.05), RegisterOptions(seed=0))
+        except AmbiguousError:
+            return
+    error = np.linalg.norm(found.T_target_source[:3, 3])
+    assert error < 0.9 or any("known to" in str(one.message) for one in said)
+
+
+def test_a_part_with_relief_all_over_is_known_well():
+    case = pair(seed=4, n_points=30_000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = register(case.test, case.sample)
+    sigma, deviated = least_known_motion(found.fine, found.source.surfels.points[::20])
+    assert 0.001 < sigma < 0.2
+    moved = [move_points(pose, found.source.surfels.points) for pose in (deviated, found.T_target_source)]
+    assert np.linalg.norm(moved[0] - moved[1], axis=1).max() == pytest.approx(sigma, rel=0.3)
