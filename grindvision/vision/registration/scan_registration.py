@@ -174,6 +174,9 @@ def register_pair(
     check_same_unit(source, target, names)
     try:
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
+        clock.lap("verification")
+        fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
+        _say_doubts(prepared_source, coarse, fine)
     except DegenerateError as refusal:
         coarse_source, coarse_target = (
             build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
@@ -195,9 +198,6 @@ def register_pair(
                 " from its two sides?"
             ) from None
         raise
-    clock.lap("verification")
-    fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
-    _say_doubts(prepared_source, coarse, fine)
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
 
