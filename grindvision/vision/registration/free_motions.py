@@ -38,9 +38,10 @@ def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: f
         axis = rotation_axis(motion[:3, :3])
         pivot = centre + np.linalg.pinv(np.eye(3) - motion[:3, :3], rcond=1e-6) @ translation
         x, y, z, a, b, c = *axis, *pivot
+        degrees = float(np.degrees(angle))
         return (
-            f"a rotation (here by {np.degrees(angle):.0f} deg) about the axis ({x:.2f}, {y:.2f}, {z:.2f})"
-            f" through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
+            f"a rotation (here by {degrees:.{0 if degrees >= 1 else 2}f} deg) about the axis"
+            f" ({x:.2f}, {y:.2f}, {z:.2f}) through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
         )
     x, y, z = translation / np.linalg.norm(translation)
     return f"a translation (here by {np.linalg.norm(translation):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
