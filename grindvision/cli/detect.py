@@ -21,6 +21,7 @@ from grindvision.cli.scans import (
     corrected,
     diagnose_pose,
     read_correction,
+    read_datum,
     read_pair,
     rows_text,
     size_question,
@@ -89,6 +90,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("sample", "test"),
         help="only this one of the two clouds is mirrored (default: both)",
     )
+    scans.add_argument(
+        "--datum",
+        nargs="+",
+        metavar="FILE",
+        help="the faces that fix the pose, in SAMPLE's frame: a file of points on them, in SAMPLE's unit, or six"
+        " numbers, two opposite corners of a box in mm (default: all faces, less one that the others contradict)",
+    )
     add_field_argument(scans)
     scans.add_argument(
         "--sample-model",
@@ -134,7 +142,13 @@ def run(options: argparse.Namespace) -> int:
             sample, test, clouds = _read(options, field)
         for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
             warnings.warn(finding, GrindvisionWarning, stacklevel=1)
-        settings = DetectOptions(options.points, options.seed, options.sample_viewpoint, options.test_viewpoint)
+        settings = DetectOptions(
+            options.points,
+            options.seed,
+            options.sample_viewpoint,
+            options.test_viewpoint,
+            read_datum(options.datum, options.sample_unit or options.unit),
+        )
         found = detect(sample, test, settings, work.finished)
         lacking = _lacking_height(found, options.require_height)
         if lacking:
@@ -211,6 +225,16 @@ def _results(found: Detection) -> dict[str, Any]:
         "covariance": registration.total_covariance,
         "level_of_detection_mm": found.difference.level_of_detection_mm,
         "coverage": _coverage(found.coverage),
+        "faces_off": [
+            {
+                "middle_mm": face.middle_mm,
+                "normal": face.normal,
+                "area_mm2": face.area_mm2,
+                "offset_mm": face.offset_mm,
+                "sigma_mm": face.sigma_mm,
+            }
+            for face in found.faces_off
+        ],
         **({} if found.model is None else {"model": _model(found.model.facets)}),
         "beads": [
             {

@@ -146,12 +146,20 @@ def find_change_paper(
 
 
 @one_blas_thread()
-def find_change(source: Scan, target: Scan, registration: FineRegistration, min_surfels: int = 10) -> Difference:
+def find_change(
+    source: Scan,
+    target: Scan,
+    registration: FineRegistration,
+    min_surfels: int = 10,
+    settled: Flags | None = None,
+) -> Difference:
     """Where the source, the test part, stands out of the target, the good part, by more than the level of detection.
 
     Args:
         registration: pose T_target_source, with its covariance.
         min_surfels: connected surfels a piece must have.
+        settled: the source's surfels (K,) that fix the pose and show how well the scans agree; all when left out.
+            Where faces are off as a whole, the others.
 
     Raises:
         DegenerateError: more than ``MAX_CHANGED`` of the common surface differs.
@@ -170,8 +178,9 @@ def find_change(source: Scan, target: Scan, registration: FineRegistration, min_
     shown = ~np.isnan(signed)
     if shown.sum() < 10:
         raise DegenerateError("after registration the scans share no surface; scan the part from nearer views")
-    sigma = 1.4826 * np.median(np.abs(signed[shown] - np.median(signed[shown])))
-    field = max(sigma**2 - np.median(variance[shown]), 0.0)
+    held = shown if settled is None or (shown & settled).sum() < 10 else shown & settled
+    sigma = 1.4826 * np.median(np.abs(signed[held] - np.median(signed[held])))
+    field = max(sigma**2 - np.median(variance[held]), 0.0)
     pose = _pose_variance(registration, surfels.points, normals)
     # no spot is trusted better than the scans agree over all
     level = 1.96 * np.sqrt(np.maximum(variance + pose + field, sigma**2))
@@ -179,9 +188,9 @@ def find_change(source: Scan, target: Scan, registration: FineRegistration, min_
     shared = np.minimum(excess, _excess_below(surface, surfels.points, signed, normals))
     firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, sigma**2))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
-    if changed.sum() > MAX_CHANGED * shown.sum():
+    if changed[held].sum() > MAX_CHANGED * held.sum():
         raise DegenerateError(
-            f"{changed.sum() / shown.sum():.0%} of the common surface differs by more than"
+            f"{changed[held].sum() / held.sum():.0%} of the common surface differs by more than"
             f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
         )
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,8 @@ from grindvision.vision.change.coverage import Coverage, find_coverage, same_sca
 from grindvision.vision.change.diagnostics import MIN_OVERLAP, NAMES, diagnose
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
+from grindvision.vision.registration.datum import refine_on_datum
+from grindvision.vision.registration.face_offsets import FaceOffset, FaceReading, read_faces
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.model_registration import doubts_of_model, register_to_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
@@ -33,12 +35,17 @@ STAGES = (*scan_registration.STAGES, "difference", "path")
 @by_content
 @dataclass(frozen=True)
 class DetectOptions:
-    """Settings of ``detect``: path ``points`` per bead, ``seed`` of the random draws, the scanners' places if known."""
+    """Settings of ``detect``: path ``points`` per bead, ``seed`` of the random draws, the scanners' places if known.
+
+    ``datum_mm``: the faces that fix the pose, in the sample's frame: the corners (2, 3) of a box, or points (K, 3) on
+    them. Left out, all faces do, less one that the others contradict.
+    """
 
     points: int = 6
     seed: int = 0
     viewpoint_sample_mm: ArrayLike | None = None
     viewpoint_test_mm: ArrayLike | None = None
+    datum_mm: ArrayLike | None = None
 
 
 @by_content
@@ -48,7 +55,8 @@ class Detection:
 
     ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out,
     ``coverage`` what could not be seen, ``beads`` the paths, largest first; ``timings_s`` the stages' times. Where the
-    sample was a model, ``sample`` is what the test's scanner could see of it, and ``model`` the whole.
+    sample was a model, ``sample`` is what the test's scanner could see of it, and ``model`` the whole. ``faces_off``:
+    faces that are off as a whole, or those of which one is where the data cannot tell which.
     """
 
     sample: Scan
@@ -60,6 +68,7 @@ class Detection:
     beads: tuple[BeadPath, ...]
     timings_s: dict[str, float] = field(compare=False)
     model: ModelSurface | None = None
+    faces_off: tuple[FaceOffset, ...] = ()
 
     @property
     def T_sample_test(self) -> Floats:
@@ -141,23 +150,31 @@ def detect(
         found, surface = to_model.registration, to_model.surface
     else:
         found = register_pair(test, sample, viewpoints_mm, rng, clock, NAMES)
-    difference = find_change(found.source, found.target, found.fine)
+    if options.datum_mm is None:
+        reading = read_faces(found.source, found.target, found.fine, options.seed)
+    else:
+        fine, settled = refine_on_datum(found.source, found.target, found.fine, options.datum_mm)
+        reading = FaceReading(fine, (), True, settled, ())
+    found = replace(found, fine=reading.registration)
+    difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
     clock.lap("difference")
     coverage = find_coverage(found.source, found.target, found.fine, difference)
-    against = diagnose(found.source, found.target, found.fine, difference, options.seed)
+    against = reading.doubts(nothing_found=not difference.clusters)
+    if not reading.off:  # a face that is off looks like another scale, and like missing material elsewhere
+        against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
     against += _unseen(found, difference, coverage)
     against += () if surface is None else doubts_of_model(surface.facets)
     try:
-        beads = _follow(difference, options.points)
+        beads = _follow(difference, options.points, one_face=reading.settled is not None)
     except DegenerateError as error:
         raise DegenerateError("; and ".join((str(error), *against))) from None
     clock.lap("path")
     for sentence in against:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
-    times_s = clock.laps_s
     return Detection(
-        found.target, found.source, found.coarse, found.fine, difference, coverage, beads, times_s, surface
-    )
+        found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s, surface,
+        reading.off,
+    )  # fmt: skip
 
 
 def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:
@@ -178,15 +195,15 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
     return tuple(said)
 
 
-def _follow(difference: Difference, points: int) -> tuple[BeadPath, ...]:
+def _follow(difference: Difference, points: int, one_face: bool) -> tuple[BeadPath, ...]:
     """Paths of all pieces; one without a path on it, or that branches and is not the largest, is left out with a
-    warning."""
+    warning; ``one_face``: the largest is a face that is off as a whole."""
     beads = []
     for rank, cluster in enumerate(difference.clusters):
         try:
             beads.append(trace_bead(cluster, points))
         except DegenerateError as error:
-            if rank == 0 and not isinstance(error, NoPathError):
+            if rank == 0 and not (one_face or isinstance(error, NoPathError)):
                 raise
             warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
     return tuple(beads)

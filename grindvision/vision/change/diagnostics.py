@@ -28,9 +28,17 @@ MAX_SCALE = 0.004
 
 
 def diagnose(
-    source: Scan, target: Scan, registration: FineRegistration, difference: Difference, seed: int = 0
+    source: Scan,
+    target: Scan,
+    registration: FineRegistration,
+    difference: Difference,
+    seed: int = 0,
+    faces_may_be_off: bool = False,
 ) -> tuple[str, ...]:
-    """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_target_source."""
+    """What speaks against a comparison that came to an end, one sentence each; ``registration`` is T_target_source.
+
+    ``faces_may_be_off``: a face that is off as a whole would not be seen, and leaves missing material at its rim.
+    """
     found = [table] if (table := diagnose_table(source.voxels, target.voxels, NAMES, seed)) else []
     if registration.overlap < MIN_OVERLAP:
         found.append(
@@ -44,7 +52,12 @@ def diagnose(
             " scanners, an old calibration or a warm part; what stands out may be nothing else, so mend that first"
         )
     if not difference.clusters and (missing := _missing_material(source, target, registration)):
-        found.append(missing)
+        swapped = (
+            "a face that is off as a whole leaves such places at its rim"
+            if faces_may_be_off
+            else ("if that is the bead, SAMPLE and TEST were swapped")
+        )
+        found.append(f"{missing}; {swapped}")
     return tuple(found)
 
 
@@ -74,6 +87,5 @@ def _missing_material(source: Scan, target: Scan, registration: FineRegistration
         return ""
     return (
         f"nothing stands out of the good part, but in {len(pieces)} place(s) material is missing (the largest:"
-        f" {pieces[0].area_mm2:.3g} mm2, {pieces[0].peak_mm:.2f} mm deep); if that is the bead, SAMPLE and TEST were"
-        " swapped"
+        f" {pieces[0].area_mm2:.3g} mm2, {pieces[0].peak_mm:.2f} mm deep)"
     )

@@ -1,0 +1,175 @@
+"""Faces that are off as a whole are named and do not move the pose; the datum says which faces are right."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+from grindvision import DetectOptions, detect
+from grindvision.cli import main
+from grindvision.clouds import write_ply
+from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
+from grindvision.geometry import inverse, move_points, rigid, rotation_about
+from grindvision.vision.registration.datum import in_datum
+from grindvision.vision.surface.faces import label_faces
+from grindvision.vision.surface.surfels import build_surfels
+
+T_SAMPLE_PART = rigid(rotation_about([1.0, 0.2, 0.1], np.pi + 0.35), (4.0, -3.0, 420.0))
+T_TEST_PART = rigid(
+    rotation_about([1.0, -0.3, 0.15], np.pi - 0.3) @ rotation_about([0, 0, 1.0], 0.5), (0.0, 6.0, 400.0)
+)
+BASE, LEFT, RIGHT, WALL, SIDE = range(5)
+
+
+def grid(origin, along, across, rng, step=0.9):
+    """Points about ``step`` apart on a parallelogram, and its unit normal."""
+    along, across = np.asarray(along, float), np.asarray(across, float)
+    u = np.arange(step / 2, np.linalg.norm(along), step) / np.linalg.norm(along)
+    v = np.arange(step / 2, np.linalg.norm(across), step) / np.linalg.norm(across)
+    u, v = (part.ravel() for part in np.meshgrid(u, v))
+    u, v = (part + rng.uniform(-0.3, 0.3, part.size) * step / 100 for part in (u, v))
+    normal = np.cross(along, across)
+    return origin + u[:, None] * along + v[:, None] * across, normal / np.linalg.norm(normal)
+
+
+def scan(rng, pose, off=(), right=True, noise=0.015):
+    """A plate with two raised faces and two sloping walls, in a scanner's frame; ``off``: face and offset."""
+    faces = [
+        ([-60, -40, 0], [120, 0, 0], [0, 80, 0]),
+        ([-50, -30, 12], [40, 0, 0], [0, 30, 0]),
+        ([10, -5, 7], [35, 0, 0], [0, 30, 0]),
+        ([-60, 40, 0], [120, 0, 0], [0, 12, 24]),
+        ([60, -40, 0], [0, 80, 0], [14, 0, 20]),
+    ]
+    kept = []
+    for number, (origin, along, across) in enumerate(faces):
+        if number == RIGHT and not right:
+            continue
+        points, normal = grid(np.array(origin, float), along, across, rng)
+        if number == BASE:  # nothing under the raised faces
+            for (x, y, _), (a, _, _), (_, b, _) in faces[1 : 3 if right else 2]:
+                points = points[
+                    ~((points[:, 0] > x) & (points[:, 0] < x + a) & (points[:, 1] > y) & (points[:, 1] < y + b))
+                ]
+        if number >= WALL:  # the two walls face inwards
+            normal = normal if normal[2] > 0 else -normal
+        kept.append(points + dict(off).get(number, 0.0) * normal)
+    points = np.concatenate(kept)
+    return move_points(pose, points) + noise * rng.standard_normal((len(points), 3))
+
+
+def pair(off=(), right=True, seed=0, T_test=T_TEST_PART):
+    rng = np.random.default_rng(seed)
+    return scan(rng, T_SAMPLE_PART, (), right), scan(rng, T_test, off, right)
+
+
+def found_with(sample, test, **options):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = detect(sample, test, DetectOptions(**options))
+    return found, [str(one.message) for one in caught if issubclass(one.category, GrindvisionWarning)]
+
+
+def pose_error(found, T_test=T_TEST_PART):
+    corners = np.array([[x, y, z] for x in (-60, 60) for y in (-40, 40) for z in (0, 20)], float)
+    test = move_points(T_test, corners)
+    return np.linalg.norm(move_points(found.T_sample_test, test) - move_points(T_SAMPLE_PART, corners), axis=1).max()
+
+
+def test_a_scan_falls_into_its_faces_largest_first():
+    points = scan(np.random.default_rng(0), T_SAMPLE_PART)
+    labels = label_faces(build_surfels(points, 1.8))
+    assert labels.max() == 4
+    counts = np.bincount(labels[labels >= 0])
+    assert (np.diff(counts) <= 0).all()
+    areas = np.array([120 * 80 - 40 * 30 - 35 * 30, 120 * 26.8, 80 * 24.4, 1200, 1050])
+    np.testing.assert_allclose(counts / counts.sum(), areas / areas.sum(), atol=0.03)
+
+
+@pytest.mark.parametrize("offset", [0.2, 0.35, 0.5, -0.3])
+@pytest.mark.parametrize("face", [BASE, LEFT])
+def test_a_face_that_is_off_is_named_and_moves_no_pose(face, offset):
+    found, said = found_with(*pair([(face, offset)], seed=int(100 * abs(offset))))
+    assert pose_error(found) < 0.06
+    (one,) = found.faces_off
+    assert one.offset_mm == pytest.approx(offset, abs=0.03)
+    assert one.area_mm2 == pytest.approx({BASE: 7350, LEFT: 1200}[face], rel=0.25)
+    assert any("as a whole by" in text and "the pose is theirs" in text for text in said)
+    assert not any("swapped" in text or "larger" in text or "smaller" in text for text in said)
+    assert not found.beads
+    standing = [piece for piece in found.difference.clusters if piece.area_mm2 > 500]
+    assert len(standing) == (offset > 0)
+    if offset > 0:
+        assert np.median(standing[0].signed_mm) == pytest.approx(offset, abs=0.04)
+
+
+def test_of_a_good_part_no_face_is_named():
+    found, said = found_with(*pair())
+    assert found.faces_off == () and not found.difference.clusters
+    assert not any("as a whole by" in text for text in said)
+    assert pose_error(found) < 0.06
+
+
+def test_moving_the_test_scan_changes_nothing():
+    T_moved = rigid(rotation_about([0.0, 0.1, 1.0], 1.1), (3.0, 2.0, 15.0)) @ T_TEST_PART
+    found, _ = found_with(*pair([(BASE, 0.3)], T_test=T_moved))
+    assert found.faces_off[0].offset_mm == pytest.approx(0.3, abs=0.03)
+    assert pose_error(found, T_moved) < 0.06
+
+
+def test_two_faces_that_contradict_each_other_are_both_named_and_the_datum_decides():
+    sample, test = pair([(BASE, 0.4)], right=False)
+    found, said = found_with(sample, test)
+    offsets = sorted(one.offset_mm for one in found.faces_off)
+    assert len(offsets) == 2 and offsets[0] < -0.3 and offsets[1] > 0.3
+    assert any("either" in text and "--datum" in text for text in said)
+    part = move_points(inverse(T_SAMPLE_PART), sample)
+    left = (np.abs(part[:, 0] + 30) < 19) & (np.abs(part[:, 1] + 15) < 14) & (part[:, 2] > 11)
+    walls = (part[:, 2] > 2) & ~left
+    by_left, _ = found_with(sample, test, datum_mm=sample[left | walls])
+    assert pose_error(by_left) < 0.06
+    assert by_left.difference.clusters[0].area_mm2 > 4000
+    by_base, _ = found_with(sample, test, datum_mm=sample[~left])
+    assert pose_error(by_base) == pytest.approx(0.4, abs=0.15)
+    assert not any(piece.area_mm2 > 300 for piece in by_base.difference.clusters)
+
+
+def test_a_datum_that_fixes_nothing_is_refused_by_name():
+    sample, test = pair()
+    base = (np.abs(move_points(inverse(T_SAMPLE_PART), sample)) < [55, 35, 1]).all(axis=1)
+    with pytest.raises(AmbiguousError, match="the datum leaves a motion free: a translation along"):
+        detect(sample, test, DetectOptions(datum_mm=sample[base]))
+    with pytest.raises(DegenerateError, match="show only 0 cells of the datum"):
+        detect(sample, test, DetectOptions(datum_mm=[[900, 0, 0], [950, 9, 9]]))
+    for wrong in (np.zeros((1, 3)), np.zeros((4, 2)), np.full((3, 3), np.nan)):
+        with pytest.raises(InputError, match="a datum of shape"):
+            in_datum(sample, wrong, 1.0)
+
+
+def test_the_command_takes_a_box_or_a_file(tmp_path, capsys):
+    sample, test = pair([(BASE, 0.4)])
+    write_ply(tmp_path / "sample.ply", sample)
+    write_ply(tmp_path / "test.ply", test)
+    low, high = sample.min(axis=0) - 1, sample.max(axis=0) + 1
+    box = [f"{value:.3f}" for value in (*low, *high)]
+    part = move_points(inverse(T_SAMPLE_PART), sample)
+    write_ply(tmp_path / "datum.ply", sample[part[:, 2] > 1.5])
+    words = ["detect", str(tmp_path / "sample.ply"), str(tmp_path / "test.ply"), "-o", str(tmp_path / "out")]
+
+    def pose(*more):
+        assert main([*words, *more]) == 0
+        return json.loads((tmp_path / "out" / "report.json").read_text())
+
+    assert pose()["faces_off"][0]["offset_mm"] == pytest.approx(0.4, abs=0.03)
+    by_file = pose("--datum", str(tmp_path / "datum.ply"))
+    assert by_file["faces_off"] == []
+    T = np.array(by_file["T_sample_test"])
+    corners = np.array([[x, y, 0.0] for x in (-60, 60) for y in (-40, 40)])
+    away = move_points(T, move_points(T_TEST_PART, corners)) - move_points(T_SAMPLE_PART, corners)
+    assert np.linalg.norm(away, axis=1).max() < 0.06
+    pose("--datum", *box)  # all of the part: every face counts
+    capsys.readouterr()
+    for wrong in (["1", "2", "3"], ["a", "b", "c", "d", "e", "f"]):
+        assert main([*words, "--datum", *wrong]) == 2
+        assert "six numbers" in capsys.readouterr().err
