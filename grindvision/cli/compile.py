@@ -96,6 +96,7 @@ def _works(folder: Path) -> Iterator[list[str]]:
         write_ply(plate, np.column_stack([x, y, 400.0 + 15 * number + 0.02 * rng.standard_normal(x.size)]))
     yield ["calibrate-field", *plates, "--steps-mm", "0", "15", "30", "--distance-mm", "400"]
     yield ["detect", str(folder / "sample.ply"), str(folder / "test.ply")]
+    yield ["detect", _model(folder), str(folder / "test.ply")]
     yield ["groove", str(folder / "groove.ply")]
     yield ["groove", str(folder / "groove.ply"), "--variant", "paper"]
 
@@ -106,12 +107,36 @@ def _plate(rng: np.random.Generator, bead_mm: float) -> np.ndarray:
 
     x, y = (part.ravel() for part in np.meshgrid(np.arange(-100, 100, 1.2), np.arange(-70, 70, 1.2)))
     x, y = x + rng.uniform(-0.4, 0.4, x.size), y + rng.uniform(-0.4, 0.4, x.size)
+    z = _plate_height(x, y, bead_mm)
+    return np.column_stack([x, y, z + 0.03 * rng.standard_normal(x.size)])
+
+
+def _plate_height(x: np.ndarray, y: np.ndarray, bead_mm: float) -> np.ndarray:
+    """Heights (N,) of that plate at places (N,)."""
+    import numpy as np
+
     z = 4 * np.sin(x / 55 + 0.4) * np.cos(y / 47 - 0.3)
     z += 6 / (1 + np.exp(np.hypot(x - 55, y - 25) - 16))
     z += 5 / (1 + np.exp((np.abs(0.94 * y + 0.34 * x + 44) - 4) / 0.8)) / (1 + np.exp((np.abs(x + 20) - 45) / 1.5))
     z -= 5 / (1 + np.exp(np.maximum(np.abs(x + 55) - 18, np.abs(y - 30) - 12) / 0.8))
     z += bead_mm * np.clip(1 - ((y - 5 - x**2 / 100) / 2.5) ** 2, 0, None) * (np.abs(x) < 20)
-    return np.column_stack([x, y, z + 0.03 * rng.standard_normal(x.size)])
+    return z
+
+
+def _model(folder: Path) -> str:
+    """A file with the same plate's upper surface as a mesh, without a bead."""
+    import numpy as np
+
+    u, v = np.arange(-100, 100, 1.2), np.arange(-70, 70, 1.2)
+    x, y = (part.ravel() for part in np.meshgrid(u, v))
+    at = np.arange(x.size).reshape(len(v), len(u))
+    corners = [at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]]
+    faces = np.stack([corner.ravel() for corner in corners], axis=1) + 1
+    path = folder / "model.obj"
+    rows = np.column_stack([x, y, _plate_height(x, y, 0.0)])
+    lines = ["v {:.4f} {:.4f} {:.4f}".format(*row) for row in rows] + ["f {} {} {} {}".format(*face) for face in faces]
+    path.write_text("\n".join(lines))
+    return str(path)
 
 
 def _groove(rng: np.random.Generator) -> np.ndarray:

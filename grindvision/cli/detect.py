@@ -21,7 +21,6 @@ from grindvision.cli.scans import (
     corrected,
     diagnose_pose,
     read_correction,
-    read_datum,
     read_pair,
     rows_text,
     size_question,
@@ -147,7 +146,7 @@ def run(options: argparse.Namespace) -> int:
             options.seed,
             options.sample_viewpoint,
             options.test_viewpoint,
-            read_datum(options.datum, options.sample_unit or options.unit),
+            _read_datum(options.datum, options.sample_unit or options.unit),
         )
         found = detect(sample, test, settings, work.finished)
         lacking = _lacking_height(found, options.require_height)
@@ -169,6 +168,36 @@ def run(options: argparse.Namespace) -> int:
         shown = "" if found.model is None else f"SAMPLE is a model: {found.model}"
         work.report(str(found), _results(found), values, found.timings_s, shown, questions)
     return 3 if lacking else 0
+
+
+def _read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
+    """The datum of ``--datum``, if given: corners (2, 3) in mm of a box, or points (K, 3) in mm of a file.
+
+    Raises:
+        InputError: neither a file nor six numbers. FileError: see ``read_cloud``.
+    """
+    if words is None:
+        return None
+    import numpy as np
+
+    from grindvision.clouds import finite_points, read_cloud
+
+    if len(words) == 1:
+        points = finite_points(read_cloud(words[0], unit), words[0])
+        if len(points) < 3:
+            raise InputError(
+                f"--datum {words[0]} holds {len(points)} points; give some on every face that fixes the pose"
+            )
+        return points
+    try:
+        corners = np.array([float(word) for word in words])
+    except ValueError:
+        corners = np.empty(0)
+    if len(corners) != 6 or not np.isfinite(corners).all():
+        raise InputError(
+            f"--datum has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
+        )
+    return corners.reshape(2, 3)
 
 
 def _read(

@@ -175,36 +175,6 @@ def _judged(cloud: Cloud, path: str, unit: str | None) -> Cloud:
     return cloud
 
 
-def read_datum(words: Sequence[str] | None, unit: str | None) -> np.ndarray | None:
-    """The datum of ``--datum``, if given: corners (2, 3) in mm of a box, or points (K, 3) in mm of a file.
-
-    Raises:
-        InputError: neither a file nor six numbers. FileError: see ``read_cloud``.
-    """
-    if words is None:
-        return None
-    import numpy as np
-
-    from grindvision.clouds import finite_points, read_cloud
-
-    if len(words) == 1:
-        points = finite_points(read_cloud(words[0], unit), words[0])
-        if len(points) < 3:
-            raise InputError(
-                f"--datum {words[0]} holds {len(points)} points; give some on every face that fixes the pose"
-            )
-        return points
-    try:
-        corners = np.array([float(word) for word in words])
-    except ValueError:
-        corners = np.empty(0)
-    if len(corners) != 6 or not np.isfinite(corners).all():
-        raise InputError(
-            f"--datum has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
-        )
-    return corners.reshape(2, 3)
-
-
 def read_pair(
     paths: tuple[str, str], units: tuple[str | None, str | None], mirrored: tuple[str | None, str | None]
 ) -> tuple[Cloud | Model, Cloud]:

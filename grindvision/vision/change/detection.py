@@ -150,11 +150,7 @@ def detect(
         found, surface = to_model.registration, to_model.surface
     else:
         found = register_pair(test, sample, viewpoints_mm, rng, clock, NAMES)
-    if options.datum_mm is None:
-        reading = read_faces(found.source, found.target, found.fine, options.seed)
-    else:
-        fine, settled = refine_on_datum(found.source, found.target, found.fine, options.datum_mm)
-        reading = FaceReading(fine, (), True, settled, ())
+    reading = _read_by(found, options)
     found = replace(found, fine=reading.registration)
     difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
     clock.lap("difference")
@@ -175,6 +171,14 @@ def detect(
         found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s, surface,
         reading.off,
     )  # fmt: skip
+
+
+def _read_by(found: Registration, options: DetectOptions) -> FaceReading:
+    """The pose by the datum, where one is given, else by all faces but one that the others contradict."""
+    if options.datum_mm is None:
+        return read_faces(found.source, found.target, found.fine, options.seed)
+    fine, settled = refine_on_datum(found.source, found.target, found.fine, options.datum_mm)
+    return FaceReading(fine, (), True, settled, ())
 
 
 def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:
