@@ -6,7 +6,11 @@ from pathlib import Path
 
 import pytest
 
-FAST = {"GRINDVISION_FAST": "1", "NUMBA_NUM_THREADS": "1", "LOKY_MAX_CPU_COUNT": "1"}
+FAST = {
+    "GRINDVISION_FAST": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "LOKY_MAX_CPU_COUNT": "1",
+}
 
 
 @pytest.hookimpl(wrapper=True)
