@@ -12,7 +12,7 @@ from grindvision.vision.registration.evidence import ABSENT, AGREES, IN_FRONT, I
 from grindvision.vision.registration.free_motions import least_known_motion
 from grindvision.vision.registration.pose_candidates import PoseJudge
 from grindvision.vision.registration.scan_registration import RegisterOptions, register
-from grindvision.vision.surface.scan import prepare_pair
+from grindvision.vision.surface.scan import choose_resolution, prepare_pair, prepare_scan
 from tests.grinding_scene import pair
 
 CELL = 1.0
@@ -102,3 +102,14 @@ def test_a_part_with_relief_all_over_is_known_well():
     assert 0.001 < sigma < 0.2
     moved = [move_points(pose, found.source.surfels.points) for pose in (deviated, found.T_target_source)]
     assert np.linalg.norm(moved[0] - moved[1], axis=1).max() == pytest.approx(sigma, rel=0.3)
+
+
+def test_an_origin_that_the_surface_hides_from_itself_is_no_scanners_place():
+    """A curved scan that was moved: the origin may lie on the side that it shows and still cannot have seen it all."""
+    rng = np.random.default_rng(3)
+    v, u = rng.uniform(-1.4, 1.4, 20_000), rng.uniform(-1.4, 1.4, 20_000)
+    bowl = 50 * np.stack([np.sin(u), np.sin(v) * np.cos(u), -np.cos(u) * np.cos(v)], axis=1)
+    seen = bowl + [0.0, 0.0, 400.0]
+    assert images.depth_image(prepare_scan(seen, choose_resolution(seen), np.zeros(3))).known
+    aside = bowl @ rotation_about((0, 1, 0), 1.2).T + [0.0, 0.0, 400.0]
+    assert not images.depth_image(prepare_scan(aside, choose_resolution(aside), np.zeros(3))).known

@@ -23,6 +23,14 @@ MAX_SLOPE = 1.0
 """Depth gained per width across a hole in one surface; more is a jump from one surface to another."""
 
 
+MAX_HIDDEN = 0.05
+"""Fraction of a scan's points that may be hidden from its scanner behind its own surface: at the scanners' true places
+0 to 0.024, at places that the origin of a moved frame merely might have been 0.09 and more."""
+
+HIDDEN_PIXELS = 8.0
+"""A point is hidden where it lies so many pixels' widths behind the nearest one: less is the slope within a pixel."""
+
+
 class DepthImage(NamedTuple):
     """A scan as its scanner saw it. ``known``: whether the scanner's place is; ``viewpoint`` (3,), ``axes`` (3, 3) rows
     right, up, ahead; ``pixel`` tangent per pixel, ``low`` (2,) first pixel; ``front`` (H, W): least depth of the nine
@@ -40,11 +48,15 @@ class DepthImage(NamedTuple):
 
 
 def depth_image(scan: Scan) -> DepthImage:
-    """The scan's surfels as a depth image from its viewpoint; an empty one where that is not known."""
+    """The scan's surfels as a depth image from its viewpoint.
+
+    An empty one where that is not known, or hides so much of the scan that no scanner stood there.
+    """
     surfels = scan.surfels
+    nothing = np.zeros((1, 1))
+    unknown = DepthImage(False, np.zeros(3), np.eye(3), 1.0, np.zeros(2, np.int64), nothing, nothing, nothing == 0)
     if scan.viewpoint_mm is None:
-        nothing = np.zeros((1, 1))
-        return DepthImage(False, np.zeros(3), np.eye(3), 1.0, np.zeros(2, np.int64), nothing, nothing, nothing == 0)
+        return unknown
     viewpoint = np.asarray(scan.viewpoint_mm, dtype=float)
     middle = surfels.points.mean(axis=0) - viewpoint
     distance = float(np.linalg.norm(middle))
@@ -54,6 +66,8 @@ def depth_image(scan: Scan) -> DepthImage:
     low, high = _pixel_bounds(surfels.points, viewpoint, axes, pixel)
     depth = np.full(tuple(high - low), np.inf)
     _enter_depths(scan.points, viewpoint, axes, pixel, low, depth)
+    if _hidden(scan.points, viewpoint, axes, pixel, low, depth) > MAX_HIDDEN:
+        return unknown
     bridge = _bridges(depth, pixel)
     return DepthImage(True, viewpoint, axes, pixel, low, _fronts(depth), bridge, np.isinf(depth))
 
@@ -89,6 +103,23 @@ def _enter_depths(points: Floats, viewpoint: Floats, axes: Floats, pixel: float,
         j = np.int64(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel)) - low[1]
         if 0 <= i < image.shape[0] and 0 <= j < image.shape[1] and depth < image[i, j]:
             image[i, j] = depth
+
+
+@njit(cache=True, nogil=True)
+def _hidden(points: Floats, viewpoint: Floats, axes: Floats, pixel: float, low: Integers, image: Floats) -> float:
+    """Fraction of points (N, 3) that lie behind what an ``image`` (H, W) of them shows."""
+    hidden = 0
+    for p in range(len(points)):
+        x, y, z = points[p, 0] - viewpoint[0], points[p, 1] - viewpoint[1], points[p, 2] - viewpoint[2]
+        depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+        if depth <= 0:
+            hidden += 1
+            continue
+        i = np.int64(np.round((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth / pixel)) - low[0]
+        j = np.int64(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel)) - low[1]
+        if 0 <= i < image.shape[0] and 0 <= j < image.shape[1]:
+            hidden += depth > image[i, j] + HIDDEN_PIXELS * pixel * depth
+    return hidden / len(points)
 
 
 @njit(cache=True, nogil=True)
