@@ -77,9 +77,13 @@ def test_solutions_are_right_and_stubs_are_not_yet(path: Path) -> None:
     assert set(book.progress(path.name[:2])["state"]) == {"not yet"}
 
 
+#: Chapter 00 rebuilds nothing; the data of chapter 13 are not in the repository, so nothing in it can be checked.
+WITHOUT_EXERCISES = {"00", "13"}
+
+
 def test_every_chapter_that_rebuilds_something_has_exercises_and_links_to_them() -> None:
     for number, chapter in chapters().items():
-        if number == "00":
+        if number in WITHOUT_EXERCISES:
             continue
         text = "\n".join(cell.source for cell in nbformat.read(chapter, as_version=4).cells)
         assert f"](exercises/{chapter.name})" in text, f"{chapter.name} has no link to its exercises"

@@ -61,7 +61,8 @@ def ply(form: str) -> bytes:
     head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     order = ">" if "big" in form else "<"
     body = f"1.5\n{TABLE}3 0 1 2\n".encode()
-    return head.encode() + (body if form == "ascii" else bytes(4) + POINTS.astype(f"{order}f4").tobytes() + b"\3" * 13)
+    face = b"\3" + struct.pack(f"{order}3i", 0, 1, 2)
+    return head.encode() + (body if form == "ascii" else bytes(4) + POINTS.astype(f"{order}f4").tobytes() + face)
 
 
 STL = bytes(80) + struct.pack("<I", 13)

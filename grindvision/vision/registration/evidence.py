@@ -18,6 +18,7 @@ from grindvision.geometry import inverse
 from grindvision.geometry.hash_grid import CellGrid
 from grindvision.geometry.neighbours import nearest_one
 from grindvision.kernels import njit
+from grindvision.records import by_content
 from grindvision.vision.registration.depth_image import DepthImage
 from grindvision.vision.registration.plane_icp import MAX_LATERAL_OFFSET, MIN_FACING
 from grindvision.vision.surface.scan import Scan
@@ -56,6 +57,7 @@ class Side(NamedTuple):
     image: DepthImage
 
 
+@by_content
 @dataclass(frozen=True)
 class Evidence:
     """Judgement of one pose: the ``states`` (N + M,) and ``losses`` (N + M,) in 0..1 of the source's samples, then of

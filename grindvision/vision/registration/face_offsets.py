@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors, small_motion
 from grindvision.geometry.hash_grid import build_cells, random_order
 from grindvision.geometry.neighbours import nearest
+from grindvision.records import by_content
 from grindvision.vision.registration.deformable import TUKEY, block_covariance
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.faces import label_faces
@@ -53,6 +54,7 @@ SOLE_SHARE, SOLE_FACES = 0.05, 3
 """Of a part of so many faces, each of at least this share, those that hold a motion alone are told."""
 
 
+@by_content
 @dataclass(frozen=True)
 class FaceOffset:
     """A face off as a whole: its number, ``middle_mm`` (3,) and unit ``normal`` (3,) in the frame of the source, its
