@@ -68,15 +68,7 @@ def read_torch(path: str | Path, wire_mm: float = 15.0) -> Tool:
         FileError: missing, no JSON, no such key. NotRigidError: no rigid transform. UnitError: metres, by its size.
         InputError: the tip is nearer to the flange than a torch is long.
     """
-    content = read_json(path)
-    if isinstance(content, dict):
-        if "T_flange_tcp" not in content:
-            raise FileError(f"{path}: no key T_flange_tcp; found {', '.join(list(content)[:8])[:80] or 'none'}")
-        content = content["T_flange_tcp"]
-    tip = check_rigid(content, f"{path}: T_flange_tcp", tolerance=1e-3)
-    length_mm = float(np.linalg.norm(tip[:3, 3]))
-    if 0 < length_mm < 2.0:
-        raise UnitError(f"{path}: the wire's tip is {length_mm:.3g} mm from the flange: metres? give millimetres")
+    tip, length_mm = _read_tip(path, "the wire's tip")
     _check_length("welding torch", length_mm, NECK_MM + wire_mm + NOZZLE_RADIUS_MM + HOLDER_RADIUS_MM)
     if tip[2, 3] <= 0:
         raise InputError(
@@ -109,18 +101,25 @@ def read_spindle(path: str | Path, stone_mm: float = 20.0) -> Tool:
         FileError: missing, no JSON, no such key. NotRigidError: no rigid transform. UnitError: metres, by its size.
         InputError: the tip is nearer to the flange than a spindle is long.
     """
+    tip, length_mm = _read_tip(path, "the tip")
+    radius_mm = 25.0
+    _check_length("grinding spindle", length_mm, stone_mm + 2 * radius_mm)
+    end = tip[:3, 3] * (1 - (stone_mm + radius_mm) / length_mm)
+    return Tool("grinding spindle", tip, (((0.0, 0.0, 0.0), (float(end[0]), float(end[1]), float(end[2])), radius_mm),))
+
+
+def _read_tip(path: str | Path, what: str) -> tuple[Floats, float]:
+    """``T_flange_tcp`` (4, 4) of a JSON file, alone or by its key, and how far the tip is from the flange, mm."""
     content = read_json(path)
     if isinstance(content, dict):
         if "T_flange_tcp" not in content:
             raise FileError(f"{path}: no key T_flange_tcp; found {', '.join(list(content)[:8])[:80] or 'none'}")
         content = content["T_flange_tcp"]
     tip = check_rigid(content, f"{path}: T_flange_tcp", tolerance=1e-3)
-    length_mm, radius_mm = float(np.linalg.norm(tip[:3, 3])), 25.0
+    length_mm = float(np.linalg.norm(tip[:3, 3]))
     if 0 < length_mm < 2.0:
-        raise UnitError(f"{path}: the tip is {length_mm:.3g} mm from the flange: metres? give millimetres")
-    _check_length("grinding spindle", length_mm, stone_mm + 2 * radius_mm)
-    end = tip[:3, 3] * (1 - (stone_mm + radius_mm) / length_mm)
-    return Tool("grinding spindle", tip, (((0.0, 0.0, 0.0), (float(end[0]), float(end[1]), float(end[2])), radius_mm),))
+        raise UnitError(f"{path}: {what} is {length_mm:.3g} mm from the flange: metres? give millimetres")
+    return tip, length_mm
 
 
 def _check_length(name: str, length_mm: float, min_mm: float) -> None:
