@@ -182,9 +182,10 @@ def _packed_layer(layer: Dots | Rods) -> dict[str, Any]:
 def _draw_picture(pipeline: Pipeline, target: Path) -> None:
     """The step before the last as a picture, for readers without scripts."""
     import pyvista as pv
+    from PIL import Image
 
     step = pipeline.steps[-2]
-    plotter = pv.Plotter(off_screen=True, window_size=[1200, 700])
+    plotter = pv.Plotter(off_screen=True, window_size=[900, 525])
     plotter.background_color = "white"
     for layer in pipeline.layers:
         if layer.name in step.layers:
@@ -193,9 +194,10 @@ def _draw_picture(pipeline: Pipeline, target: Path) -> None:
     plotter.camera.view_angle = 30.0
     plotter.camera_position = [tuple(view.eye), tuple(view.centre), tuple(view.up)]
     plotter.reset_camera_clipping_range()
-    with write_whole(target) as path:
-        plotter.screenshot(path)
+    picture = Image.fromarray(plotter.screenshot(return_img=True)).quantize(64, dither=Image.Dither.NONE)
     plotter.close()
+    with write_whole(target) as path:
+        picture.save(path, format="PNG", optimize=True)
 
 
 def _draw_layer(plotter: pyvista.Plotter, layer: Dots | Rods, pose: Floats) -> None:
