@@ -33,7 +33,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def real_data():
     """Path of a file of real measured data, or a skip with the reason where it is absent."""
-    folder = Path(os.environ.get("GRINDVISION_DATA") or ROOT / "none")
+    folder = Path(os.environ.get("GRINDVISION_DATA") or ROOT.parent / "shared" / "real")
 
     def find(name: str) -> Path:
         path = folder / name

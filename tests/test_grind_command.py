@@ -134,7 +134,7 @@ def test_what_cannot_be_ground_is_named_in_one_line(folder, capsys, monkeypatch,
 
 
 def test_a_robot_drives_the_passes(folder, capsys, tmp_path):
-    pytest.importorskip("pinocchio")
+    pytest.importorskip("pinocchio", reason="needs the extra robot")
     scene = pair(0, 60_000, beads=[arc_bead(width_mm=6.0)])
     T_base_part = np.eye(4)
     T_base_part[:3, 3] = (330.0, 0.0, 60.0)

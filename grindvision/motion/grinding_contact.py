@@ -75,20 +75,28 @@ def _lower(x: float, y: float, shape: ToolShape) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _nodes_near(nodes: Nodes, pose: Floats, shape: ToolShape) -> tuple[int, int, int, int]:
+    """Rows and columns of nodes that the tool may cover at a pose (12,): the first, and the one behind the last."""
+    ground, spacing = nodes
+    reach = np.sqrt(shape.along_mm * shape.along_mm + shape.across_mm * shape.across_mm)
+    low_i, high_i = max(int((pose[0] - reach) / spacing), 0), int((pose[0] + reach) / spacing) + 2
+    low_j, high_j = max(int((pose[1] - reach) / spacing), 0), int((pose[1] + reach) / spacing) + 2
+    return low_i, min(high_i, ground.shape[0]), low_j, min(high_j, ground.shape[1])
+
+
+@njit(cache=True, nogil=True)
 def lifts_over(nodes: Nodes, floors: Floats, poses: Floats, shape: ToolShape) -> Floats:
     """Least heights (K,) of the tip over the ground at poses (K, 12) at which the tool is nowhere below the floors.
 
     ``floors`` (R, C): heights over the ground, along its normals, that must not be cut; NaN where there are none.
     """
-    ground, spacing = nodes
+    ground, _spacing = nodes
     lifts = np.full(len(poses), -np.inf)
-    reach = np.sqrt(shape.along_mm * shape.along_mm + shape.across_mm * shape.across_mm)
     for k in range(len(poses)):
         pose = poses[k]
-        first_i, last_i = max(int((pose[0] - reach) / spacing), 0), int((pose[0] + reach) / spacing) + 1
-        first_j, last_j = max(int((pose[1] - reach) / spacing), 0), int((pose[1] + reach) / spacing) + 1
-        for i in range(first_i, min(last_i, ground.shape[0] - 1) + 1):
-            for j in range(first_j, min(last_j, ground.shape[1] - 1) + 1):
+        low_i, high_i, low_j, high_j = _nodes_near(nodes, pose, shape)
+        for i in range(low_i, high_i):
+            for j in range(low_j, high_j):
                 floor = floors[i, j]
                 node = ground[i, j]
                 if np.isnan(floor) or np.isnan(node[2]):
@@ -111,15 +119,13 @@ def lifts_over(nodes: Nodes, floors: Floats, poses: Floats, shape: ToolShape) ->
 def envelope_of(nodes: Nodes, poses: Floats, lifts: Floats, shape: ToolShape) -> Floats:
     """Heights (R, C) over the ground, along its normals, below which the tool comes nowhere on its way through the
     poses (K, 12) at ``lifts`` (K,); infinite where it does not come."""
-    ground, spacing = nodes
+    ground, _spacing = nodes
     lowest = np.full(ground.shape[:2], np.inf)
-    reach = np.sqrt(shape.along_mm * shape.along_mm + shape.across_mm * shape.across_mm)
     for k in range(len(poses)):
         pose = poses[k]
-        first_i, last_i = max(int((pose[0] - reach) / spacing), 0), int((pose[0] + reach) / spacing) + 1
-        first_j, last_j = max(int((pose[1] - reach) / spacing), 0), int((pose[1] + reach) / spacing) + 1
-        for i in range(first_i, min(last_i, ground.shape[0] - 1) + 1):
-            for j in range(first_j, min(last_j, ground.shape[1] - 1) + 1):
+        low_i, high_i, low_j, high_j = _nodes_near(nodes, pose, shape)
+        for i in range(low_i, high_i):
+            for j in range(low_j, high_j):
                 node = ground[i, j]
                 if np.isnan(node[2]):
                     continue

@@ -73,21 +73,26 @@ def depth_image(scan: Scan) -> DepthImage:
 
 
 @njit(cache=True, nogil=True)
+def _pixel_of(point: Floats, viewpoint: Floats, axes: Floats, pixel: float) -> tuple[int, int, float]:
+    """Pixel of a point (3,) and its depth along the image's axis; pixel 0, 0 for a point that is not ahead."""
+    x, y, z = point[0] - viewpoint[0], point[1] - viewpoint[1], point[2] - viewpoint[2]
+    depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    if depth <= 0:
+        return 0, 0, depth
+    i = int(np.round((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth / pixel))
+    j = int(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel))
+    return i, j, depth
+
+
+@njit(cache=True, nogil=True)
 def _pixel_bounds(points: Floats, viewpoint: Floats, axes: Floats, pixel: float) -> tuple[Integers, Integers]:
     """First pixel (2,) and the one behind the last (2,) of an image of points (N, 3), with an empty rim of two."""
     low, high = np.full(2, np.int64(1) << 40), np.full(2, -(np.int64(1) << 40))
     for p in range(len(points)):
-        depth = 0.0
-        for k in range(3):
-            depth += axes[2, k] * (points[p, k] - viewpoint[k])
-        if depth <= 0:
-            continue
-        for a in range(2):
-            across = 0.0
-            for k in range(3):
-                across += axes[a, k] * (points[p, k] - viewpoint[k])
-            spot = np.int64(np.round(across / depth / pixel))
-            low[a], high[a] = min(low[a], spot), max(high[a], spot)
+        i, j, depth = _pixel_of(points[p], viewpoint, axes, pixel)
+        if depth > 0:
+            low[0], high[0] = min(low[0], i), max(high[0], i)
+            low[1], high[1] = min(low[1], j), max(high[1], j)
     return low - 2, high + 3
 
 
@@ -95,13 +100,9 @@ def _pixel_bounds(points: Floats, viewpoint: Floats, axes: Floats, pixel: float)
 def _enter_depths(points: Floats, viewpoint: Floats, axes: Floats, pixel: float, low: Integers, image: Floats) -> None:
     """Enter the least depth of points (N, 3) into an ``image`` (H, W) whose first pixel is ``low``."""
     for p in range(len(points)):
-        x, y, z = points[p, 0] - viewpoint[0], points[p, 1] - viewpoint[1], points[p, 2] - viewpoint[2]
-        depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-        if depth <= 0:
-            continue
-        i = np.int64(np.round((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth / pixel)) - low[0]
-        j = np.int64(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel)) - low[1]
-        if 0 <= i < image.shape[0] and 0 <= j < image.shape[1] and depth < image[i, j]:
+        i, j, depth = _pixel_of(points[p], viewpoint, axes, pixel)
+        i, j = i - low[0], j - low[1]
+        if depth > 0 and 0 <= i < image.shape[0] and 0 <= j < image.shape[1] and depth < image[i, j]:
             image[i, j] = depth
 
 
@@ -110,14 +111,11 @@ def _hidden(points: Floats, viewpoint: Floats, axes: Floats, pixel: float, low: 
     """Fraction of points (N, 3) that lie behind what an ``image`` (H, W) of them shows."""
     hidden = 0
     for p in range(len(points)):
-        x, y, z = points[p, 0] - viewpoint[0], points[p, 1] - viewpoint[1], points[p, 2] - viewpoint[2]
-        depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+        i, j, depth = _pixel_of(points[p], viewpoint, axes, pixel)
+        i, j = i - low[0], j - low[1]
         if depth <= 0:
             hidden += 1
-            continue
-        i = np.int64(np.round((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth / pixel)) - low[0]
-        j = np.int64(np.round((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth / pixel)) - low[1]
-        if 0 <= i < image.shape[0] and 0 <= j < image.shape[1]:
+        elif 0 <= i < image.shape[0] and 0 <= j < image.shape[1]:
             hidden += depth > image[i, j] + HIDDEN_PIXELS * pixel * depth
     return hidden / len(points)
 
