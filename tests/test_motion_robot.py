@@ -81,6 +81,23 @@ def test_missing_files_are_named(tmp_path):
         urdf_robot(path, welding_torch(), flange="a")
 
 
+def test_a_torch_is_solid_from_the_flange_to_the_nozzle_and_clear_of_its_wire():
+    torch = welding_torch(length_mm=200.0, wire_mm=12.0)
+    ends = np.array([(start, end) for start, end, _ in torch.capsules])
+    assert np.array_equal(ends[0, 0], [0, 0, 0])
+    assert np.array_equal(ends[1:, 0], ends[:-1, 1])
+    assert not ends[..., :2].any()
+    assert (np.diff(ends[..., 2], axis=1) > 0).all()
+    assert ends[-1, 1, 2] + torch.capsules[-1][2] == pytest.approx(200.0 - 12.0)
+
+
+def test_a_spindle_is_solid_from_its_mount_to_its_stone():
+    (capsule,) = grinding_spindle(length_mm=230.0, mount_mm=80.0, stone_mm=20.0).capsules
+    start, end, radius_mm = np.array(capsule[0]), np.array(capsule[1]), capsule[2]
+    assert not start[:2].any() and not end[:2].any()
+    assert (start[2] - radius_mm, end[2] + radius_mm) == pytest.approx((80.0, 210.0))
+
+
 def test_limits_and_tools_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="joint 2: the lower limit"):
         JointLimits([-1, 1], [1, -1], [1, 1], [1, 1])

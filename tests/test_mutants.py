@@ -1,6 +1,7 @@
 """The mutation tests themselves: faults are found where they belong, chosen ones fit the code, a draw repeats."""
 
 import ast
+import csv
 from pathlib import Path
 
 import pytest
@@ -62,3 +63,14 @@ def test_a_draw_repeats_and_its_tests_exist():
     rooms = {Path(mutant.path).parts[1] for mutant, _ in one}
     assert {"geometry", "cell", "vision", "calibration"} <= rooms
     assert all((ROOT / "tests" / f"{name}.py").exists() for _, tests in one for name in tests)
+
+
+def test_every_module_of_the_rooms_names_its_tests():
+    with open(ROOT / "mutants/tests_of.csv", encoding="utf-8", newline="") as file:
+        prefixes = [row["path"] for row in csv.DictReader(file)]
+    rooms = ("geometry", "arm", "cell", "vision", "calibration", "motion")
+    modules = [
+        path.relative_to(ROOT).as_posix() for room in rooms for path in (ROOT / "grindvision" / room).rglob("*.py")
+    ]
+    without = [path for path in modules if not path.endswith(("__init__.py", "old_names.py"))]
+    assert [path for path in without if not any(path.startswith(prefix) for prefix in prefixes)] == []

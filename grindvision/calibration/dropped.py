@@ -78,7 +78,7 @@ def dropped_groups(training: Measurements, kept: Flags) -> tuple[DroppedGroup, .
 
 
 def _region(feature: Floats, dropped: Flags, pose: NDArray[np.str_]) -> tuple[float, float, int] | None:
-    """The end of a feature's range that was dropped as a whole: its limits and how many dropped rows are in it."""
+    """The end of a feature's range that was dropped as a whole: the limits and the number of the dropped rows in it."""
     best = None
     for sign in (1.0, -1.0):
         order = np.argsort(-sign * feature, kind="stable")
@@ -87,8 +87,8 @@ def _region(feature: Floats, dropped: Flags, pose: NDArray[np.str_]) -> tuple[fl
         edge = np.append(np.diff(feature[order]) != 0, True)
         good = edge & (inside >= WHOLE * count) & (inside >= INSIDE * dropped.sum()) & (inside >= MIN_ROWS)
         for last in np.flatnonzero(good)[::-1]:
-            rows = order[: last + 1]
-            if last + 1 < 0.6 * len(order) and len(np.unique(pose[rows][dropped[rows]])) >= MIN_POSES:
+            rows = order[: last + 1][dropped[order[: last + 1]]]
+            if last + 1 < 0.6 * len(order) and len(np.unique(pose[rows])) >= MIN_POSES:
                 found = (float(feature[rows].min()), float(feature[rows].max()), int(inside[last]))
                 best = found if best is None or found[2] > best[2] else best
                 break
