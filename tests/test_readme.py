@@ -43,3 +43,14 @@ def test_every_relative_link_and_picture_is_there():
 def test_every_chapter_is_listed():
     text = README.read_text(encoding="utf-8")
     assert [path.name for path in sorted((ROOT / "notebooks").glob("*.ipynb")) if path.name not in text] == []
+
+
+def test_every_file_that_the_walk_through_the_rooms_names_is_there():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    walk = text.split("## A walk through the rooms")[1].split("\n## ")[0]
+    files = {
+        path.relative_to(ROOT).as_posix() for room in ("grindvision", "tests") for path in (ROOT / room).rglob("*.py")
+    }
+    named = re.findall(r"`([a-z_/]+\.py)`", walk)
+    assert len(named) > 50
+    assert [name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)] == []
