@@ -18,6 +18,7 @@ from grindvision.calibration import (
     diagnose_trust,
     error_statistics,
     foreseen_errors,
+    on_test_rows,
     read_measurements,
     residuals_of,
     suggest_poses,
@@ -89,6 +90,23 @@ def test_waves_widen_sigmas_and_are_taken_only_where_held_out_poses_gain(rng):
     assert np.mean(result.std[known] / plain.std[known]) > 1.2
     clean = rig(ur5(), rng, rows=60, on_tool=True).measurements
     assert calibrate(clean, ur5(), Options(beyond_geometry=True)).beyond is None
+
+
+def test_waves_of_any_number_a_turn_are_found_and_lower_the_error_of_poses_never_fitted(rng):
+    made = rig(ur5(), rng, rows=80, test=400, on_tool=True, noise_mm=0.03)
+    planted = {0: 12.0, 1: 21.0}
+    terms = tuple(JointTerm(joint, "cos", order) for joint, order in planted.items())
+    cell = replace(made.cell, corrections=JointCorrections(terms, (3e-4, 3e-4)))
+    rows = made.measurements
+    tracker = cell.points_tracker(rows.q_rad, rows.scanner_mm) + 0.03 * rng.normal(size=(480, 3))
+    result = calibrate(replace(rows, tracker_mm=tracker), ur5(), Options(beyond_geometry=True))
+    assert result.beyond is not None and result.beyond.kind.startswith("gear waves found")
+    assert all(min(abs(np.subtract(result.beyond.waves[joint], order))) <= 1 for joint, order in planted.items())
+    unseen = on_test_rows(result)
+    assert unseen.beyond.mean < 0.6 * unseen.after.mean
+    told = [finding.sentence for finding in result.findings if finding.kind == "wave"]
+    assert any("12 times a turn of joint 1" in sentence for sentence in told)
+    assert any("21 times a turn of joint 2" in sentence for sentence in told)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(25.4, "inches"), (10, "centimetres"), (304.8, "feet"), (3.7, "3.7")])

@@ -25,6 +25,7 @@ from grindvision.calibration.estimate import (
 from grindvision.calibration.fitting import Fit, expected_covariance, iterated_fit, linear_step
 from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.input_checks import check_measurements, without_copies
+from grindvision.calibration.joint_terms import uniform_load
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.options import Options
@@ -209,14 +210,15 @@ def calibrate(
     findings: tuple[Finding, ...] = ()
     beyond = None
     ours = options.variant != "paper"
-    error = model_error(fit.cell, arm, unknowns, used, fit.sigmas, options.down, ours and options.diagnose)
+    load = options.load or uniform_load(arm, options.down)
+    error = model_error(fit.cell, arm, unknowns, used, fit.sigmas, load, ours and options.diagnose)
     if ours:
         if options.diagnose:
             looked_at = np.union1d(fitted[fit.kept], np.flatnonzero(~measurements.train))
-            findings = structure_in(fit.cell, unknowns, measurements.rows(looked_at), fit.sigmas, options.down)
+            findings = structure_in(fit.cell, unknowns, measurements.rows(looked_at), fit.sigmas, load)
             warnings += sentences_of(findings)
         if options.beyond_geometry and unknowns.table:
-            kinds = kinds_of_terms(arm, used.q_rad, options.down, options.gear_ratios)
+            kinds = kinds_of_terms(load, used.q_rad, options.gear_ratios)
             beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds, options.seed)
     rows = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
     return Calibration(

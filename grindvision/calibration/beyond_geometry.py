@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from grindvision.arm import MdhArm
 from grindvision.calibration.estimate import Sigmas, estimate_sigmas, gauss_newton, residuals_of
 from grindvision.calibration.joint_terms import (
-    DOWN,
+    GravityLoad,
     JointCorrections,
     JointTerm,
     coupling_terms,
     sag_terms,
-    uniform_load,
     wave_terms,
 )
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.unknowns import Unknowns
+from grindvision.calibration.wave_search import find_waves
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -31,6 +31,11 @@ FOLDS, MAX_ROWS = 4, 1200
 
 #: Terms are taken only where the squared error of held-out poses falls by so many standard errors of that fall.
 STANDARD_ERRORS = 2.0
+
+#: Searches for waves, each with the noise that the waves found before leave.
+SEARCHES = 4
+
+GEOMETRY_ALONE, WAVES_FOUND = "geometry alone", "gear waves found"
 
 
 @by_content
@@ -47,16 +52,38 @@ class BeyondGeometry:
     sigmas: Sigmas
     tried: dict[str, ErrorStatistics]
 
+    @property
+    def waves(self) -> dict[int, tuple[float, ...]]:
+        """Waves a turn of every joint (from 0) that has some."""
+        orders: dict[int, set[float]] = {}
+        for term in self.unknowns.terms:
+            if term.kind in ("cos", "sin"):
+                orders.setdefault(term.joint, set()).add(term.order)
+        return {joint: tuple(sorted(found)) for joint, found in sorted(orders.items())}
+
     def __str__(self) -> str:
-        first, chosen = self.tried["geometry alone"].rms, self.tried[self.kind].rms
-        return f"{self.kind}: rms of held-out poses {chosen:.3f} mm instead of {first:.3f} mm"
+        first, chosen = self.tried[GEOMETRY_ALONE].rms, self.tried[self.kind].rms
+        told = ""
+        if self.kind.startswith(WAVES_FOUND):
+            told = " (a turn of " + ", ".join(
+                f"q{joint + 1}: {' '.join(f'{order:g}' for order in orders)}" for joint, orders in self.waves.items()
+            )
+            told += ")"
+        return f"{self.kind}{told}: rms of held-out poses {chosen:.3f} mm instead of {first:.3f} mm"
 
 
-def kinds_of_terms(
-    arm: MdhArm, q_rad: Floats, down: tuple[float, float, float] = DOWN, gear_ratios: tuple[float, ...] = ()
-) -> dict[str, tuple[JointTerm, ...]]:
+@dataclass(frozen=True)
+class TermKind:
+    """Joint terms that are tried together; ``search``: with waves whose number a turn is looked for in the data."""
+
+    terms: tuple[JointTerm, ...] = ()
+    search: bool = False
+
+
+def kinds_of_terms(load: GravityLoad, q_rad: Floats, gear_ratios: tuple[float, ...] = ()) -> dict[str, TermKind]:
     """The sets of joint terms that are tried; ``gear_ratios`` (one a joint) add one wave a turn of every motor."""
-    waves, sag, coupling = wave_terms(arm), sag_terms(uniform_load(arm, down), q_rad), coupling_terms(arm)
+    arm = load.arm
+    waves, sag, coupling = wave_terms(arm), sag_terms(load, q_rad), coupling_terms(arm)
     if gear_ratios:
         waves += tuple(
             JointTerm(joint, kind, abs(ratio))
@@ -65,7 +92,12 @@ def kinds_of_terms(
             for kind in ("cos", "sin")
         )
     kinds = {"gear waves": waves, "sag": sag, "gear waves and sag": waves + sag, "couplings": coupling}
-    return {kind: terms for kind, terms in kinds.items() if terms}
+    found = {kind: TermKind(terms) for kind, terms in kinds.items() if terms}
+    if waves:
+        found[WAVES_FOUND] = TermKind(search=True)
+        if sag:
+            found[f"{WAVES_FOUND}, and sag"] = TermKind(sag, search=True)
+    return found
 
 
 def choose_terms(
@@ -74,10 +106,12 @@ def choose_terms(
     unknowns: Unknowns,
     used: Measurements,
     sigmas: Sigmas,
-    kinds: dict[str, tuple[JointTerm, ...]],
+    kinds: dict[str, TermKind],
     seed: int = 0,
 ) -> BeyondGeometry | None:
     """Fit every kind of terms on part of the poses, score it on the others, and return the best; None: geometry alone.
+
+    Waves that are looked for are looked for in the fitted part alone.
 
     Args:
         cell, unknowns, sigmas: the geometric fit of all rows of ``used``, where every fit starts.
@@ -95,23 +129,21 @@ def choose_terms(
         return None
     fold_of_pose = np.random.default_rng(seed).permutation(len(poses)) % FOLDS
     fold = fold_of_pose[number]
-    every: dict[str, tuple[JointTerm, ...]] = {"geometry alone": (), **kinds}
+    every = {GEOMETRY_ALONE: TermKind(), **kinds}
     squares: dict[str, Floats] = {}
     tried: dict[str, ErrorStatistics] = {}
     for kind, terms in every.items():
         left = np.empty((len(rows), 3))
         for out in range(FOLDS):
-            start = _with_terms(cell, terms)
-            fit = _fitted(start, nominal, replace(unknowns, terms=terms), rows.rows(fold != out), sigmas)[0]
+            fit, *_ = _fitted(cell, terms, nominal, unknowns, rows.rows(fold != out), sigmas)
             left[fold == out] = residuals_of(fit, rows.rows(fold == out))
         tried[kind] = error_statistics(left)
         squares[kind] = np.bincount(number, (left**2).sum(axis=1)) / np.bincount(number)
-    best = min(every, key=lambda kind: (round(tried[kind].rms, 9), len(every[kind])))
-    fall = squares["geometry alone"] - squares[best]
-    if best == "geometry alone" or fall.mean() < STANDARD_ERRORS * fall.std(ddof=1) / np.sqrt(len(fall)):
+    best = min(every, key=lambda kind: (round(tried[kind].rms, 9), len(every[kind].terms)))
+    fall = squares[GEOMETRY_ALONE] - squares[best]
+    if best == GEOMETRY_ALONE or fall.mean() < STANDARD_ERRORS * fall.std(ddof=1) / np.sqrt(len(fall)):
         return None
-    final = replace(unknowns, terms=every[best])
-    fitted, learnt = _fitted(_with_terms(cell, every[best]), nominal, final, used, sigmas)
+    fitted, learnt, final = _fitted(cell, every[best], nominal, unknowns, used, sigmas)
     return BeyondGeometry(best, fitted, final, learnt, tried)
 
 
@@ -120,10 +152,26 @@ def _with_terms(cell: ScannerOnArm, terms: tuple[JointTerm, ...]) -> ScannerOnAr
 
 
 def _fitted(
+    start: ScannerOnArm, kind: TermKind, nominal: MdhArm, unknowns: Unknowns, rows: Measurements, sigmas: Sigmas
+) -> tuple[ScannerOnArm, Sigmas, Unknowns]:
+    """The cell with terms of this kind that fits the rows, the noise found, and the unknowns with the terms."""
+    learnt, wider = sigmas, replace(unknowns, terms=kind.terms)
+    cell = _with_terms(start, kind.terms)
+    for _ in range(2 if kind.terms else 1):
+        cell, learnt = _refitted(cell, nominal, wider, rows, learnt)
+    for _ in range(SEARCHES if kind.search else 0):
+        found = find_waves(cell, nominal, wider, rows, learnt)
+        if not found:
+            break
+        wider = replace(wider, terms=wider.terms + found)
+        cell = _with_terms(start, wider.terms)
+        for _ in range(2):
+            cell, learnt = _refitted(cell, nominal, wider, rows, learnt)
+    return cell, learnt, wider
+
+
+def _refitted(
     start: ScannerOnArm, nominal: MdhArm, unknowns: Unknowns, rows: Measurements, sigmas: Sigmas
 ) -> tuple[ScannerOnArm, Sigmas]:
-    learnt = sigmas
-    for _ in range(2 if unknowns.terms else 1):
-        learnt = estimate_sigmas(start, nominal, unknowns, rows, learnt, iterations=20)
-        start, *_ = gauss_newton(start, nominal, unknowns, rows, learnt, iterations=8)
-    return start, learnt
+    learnt = estimate_sigmas(start, nominal, unknowns, rows, sigmas, iterations=20)
+    return gauss_newton(start, nominal, unknowns, rows, learnt, iterations=8)[0], learnt

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from grindvision.calibration.joint_terms import DOWN
+from grindvision.calibration.joint_terms import DOWN, GravityLoad
 from grindvision.errors import InputError
 
 
@@ -18,6 +18,7 @@ class Options:
     the others and name them. ``worst_std``: a combination known worse than this many millimetres counts as unknown.
     ``beyond_geometry``: look for gear waves, sag and couplings, and keep what lowers the error of held-out poses;
     ``gear_ratios`` (n,), where given, add one wave a turn of every motor. ``down``: direction of gravity in the base.
+    ``load``: masses that the joints may sag under; left out, links of the same weight a length.
     ``diagnose``: look for structure in the residuals.
     ``variant``: ``ours``, or ``paper`` for Eqs 9-18 as printed: one linear step, every row with the same weight, no
     priors, generalised inverse with relative ``tolerance`` on the singular values in mm and rad as they come.
@@ -33,6 +34,7 @@ class Options:
     beyond_geometry: bool = False
     gear_ratios: tuple[float, ...] = ()
     down: tuple[float, float, float] = DOWN
+    load: GravityLoad | None = None
     diagnose: bool = True
     variant: str = "ours"
     tolerance: float = 1e-6

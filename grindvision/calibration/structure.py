@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from grindvision.calibration.estimate import Sigmas, deviations, prior_widths, residuals_of, unit_sizes
-from grindvision.calibration.joint_terms import bases_of, coupling_terms, sag_terms, uniform_load, wave_terms
+from grindvision.calibration.estimate import Sigmas, deviations, unit_sizes
+from grindvision.calibration.joint_terms import GravityLoad, bases_of, coupling_terms, sag_terms, wave_terms
 from grindvision.calibration.measurements import Measurements
-from grindvision.calibration.model import CarriedPoints, ScannerOnArm, carried
-from grindvision.calibration.pose_whitening import pose_whitening
+from grindvision.calibration.model import CarriedPoints, ScannerOnArm
 from grindvision.calibration.unknowns import Unknowns
+from grindvision.calibration.wave_search import ORDERS, LinearFit, Wave, linear_fit, strongest_wave
+from grindvision.geometry import skew
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -65,7 +66,7 @@ def structure_in(
     unknowns: Unknowns,
     measurements: Measurements,
     sigmas: Sigmas,
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0),
+    load: GravityLoad,
 ) -> tuple[Finding, ...]:
     """Find structure in the residuals of a fit, the largest first; rows must stand in the order of measuring.
 
@@ -74,62 +75,82 @@ def structure_in(
         unknowns: what the fit was free to move.
         measurements: the rows to look at, without those that were dropped.
         sigmas: noise and priors of the fit.
-        down: direction of gravity in the base frame.
+        load: masses that the joints may sag under.
     """
     if len(measurements) > MAX_ROWS:
         measurements = measurements.rows(np.linspace(0, len(measurements) - 1, MAX_ROWS).astype(int))
-    points = carried(cell, measurements)
-    whiten = pose_whitening(points, measurements, sigmas)
-    units = unit_sizes(measurements, unknowns)
-    held = np.diag(units / prior_widths(unknowns, sigmas))
-    design = np.vstack([whiten(points.design(unknowns) * units), held])
-    pull = -deviations(cell, cell.arm, unknowns) / prior_widths(unknowns, sigmas)
-    goal = np.concatenate([whiten(residuals_of(cell, measurements)[:, :, None])[:, 0], np.nan_to_num(pull)])
-    basis = np.linalg.svd(design, full_matrices=False)[0]
-    effects = _effects(points, measurements, down)
+    fit = linear_fit(cell, deviations(cell, cell.arm, unknowns), unknowns, measurements, sigmas)
+    effects = _effects(fit.points, measurements, load)
     if not effects:
         return ()
-    blocks = []
-    for effect in effects:
-        block = np.vstack([whiten(effect.columns), np.zeros((len(unknowns), effect.columns.shape[2]))])
-        blocks.append(block / np.maximum(np.linalg.norm(block, axis=0), 1e-12))
-    left = goal - basis @ (basis.T @ goal)
-    freedom = len(goal) - len(unknowns)
+    units = unit_sizes(measurements, unknowns)
+    blocks = [fit.block(effect.columns) for effect in effects]
+    basis, left = fit.basis, fit.left
+    freedom = len(left) - len(unknowns)
+    waves = ORDERS[ORDERS > 2]
+    tested = len(effects) + len(waves) * cell.arm.n
     found: list[Finding] = []
     for _ in range(MAX_FINDINGS):
-        best = None
         total = float(left @ left)
-        for effect, block in zip(effects, blocks, strict=True):
-            free = block - basis @ (basis.T @ block)
-            sides, lengths, _ = np.linalg.svd(free, full_matrices=False)
-            sides = sides[:, lengths > 1e-3]
-            count = sides.shape[1]
-            if count == 0 or freedom - count < 6:
-                continue
-            gain = float(((sides.T @ left) ** 2).sum())
-            ratio = (gain / count) / max((total - gain) / (freedom - count), 1e-300)
-            chance = float(fisher.sf(ratio, count, freedom - count))
-            if best is None or (chance, -gain) < (best[0], -best[1]):
-                best = (chance, gain, effect, block, sides)
+        best = _strongest(effects, blocks, basis, left, freedom)
+        wave = strongest_wave(fit, basis, left, freedom, waves)
+        if wave is not None and (best is None or (wave.p_value, -wave.gain) < best[:2]):
+            effect = _wave_effect(fit, wave)
+            best = (wave.p_value, -wave.gain, effect, fit.block(effect.columns), wave.columns)
         if best is None:
             break
-        chance, gain, effect, block, sides = best
-        if chance * len(effects) > FALSE_ALARM or gain < MIN_EXPLAINED * total:
+        chance, loss, effect, block, sides = best
+        if chance * tested > FALSE_ALARM or -loss < MIN_EXPLAINED * total:
             break
         values = np.linalg.lstsq(block - basis @ (basis.T @ block), left, rcond=0.05)[0]
-        scale = np.maximum(np.linalg.norm(whiten(effect.columns), axis=0), 1e-12)
+        scale = np.maximum(np.linalg.norm(fit.whiten(effect.columns), axis=0), 1e-12)
         size, sentence = effect.describe(values / scale)
-        bias = -np.linalg.lstsq(design, block @ values, rcond=1e-10)[0] * units
-        found.append(Finding(effect.kind, size, gain / total, chance * len(effects), sentence, bias))
+        bias = -np.linalg.lstsq(fit.design, block @ values, rcond=1e-10)[0] * units
+        found.append(Finding(effect.kind, size, -loss / total, chance * tested, sentence, bias))
         basis = np.hstack([basis, sides])
         left = left - sides @ (sides.T @ left)
         freedom -= sides.shape[1]
     return tuple(found)
 
 
-def _effects(points: CarriedPoints, measurements: Measurements, down: tuple[float, float, float]) -> list[_Effect]:
+def _strongest(
+    effects: Sequence[_Effect], blocks: Sequence[Floats], basis: Floats, left: Floats, freedom: int
+) -> tuple[float, float, _Effect, Floats, Floats] | None:
+    """The effect that noise explains least: the chance of that, minus the squares it explains, and its columns."""
+    best = None
+    total = float(left @ left)
+    for effect, block in zip(effects, blocks, strict=True):
+        free = block - basis @ (basis.T @ block)
+        sides, lengths, _ = np.linalg.svd(free, full_matrices=False)
+        sides = sides[:, lengths > 1e-3]
+        count = sides.shape[1]
+        if count == 0 or freedom - count < 6:
+            continue
+        gain = float(((sides.T @ left) ** 2).sum())
+        ratio = (gain / count) / max((total - gain) / (freedom - count), 1e-300)
+        chance = float(fisher.sf(ratio, count, freedom - count))
+        if best is None or (chance, -gain) < best[:2]:
+            best = (chance, -gain, effect, block, sides)
+    return best
+
+
+def _wave_effect(fit: LinearFit, wave: Wave) -> _Effect:
+    columns = fit.wave(wave.joint, np.array([wave.order]))
+
+    def told(values: Floats) -> tuple[float, str]:
+        size = float(np.sqrt(((columns @ values) ** 2).sum(axis=1).mean()))
+        return size, (
+            f"what is left repeats {wave.order:g} times a turn of joint {wave.joint + 1} (waves of"
+            f" {np.degrees(np.hypot(*values)):.2g} deg, {size:.2g} mm of the points): gears, motor or encoder; keep to"
+            " the poses measured, or use the joint terms where the report has them"
+        )
+
+    return _Effect("wave", columns, told)
+
+
+def _effects(points: CarriedPoints, measurements: Measurements, load: GravityLoad) -> list[_Effect]:
     effects = _session_effects(points, measurements) if measurements.tracked.all() else []
-    effects += _joint_effects(points, down)
+    effects += _joint_effects(points, load)
     effects += _scale_effects(points, measurements)
     return effects + _sphere_effects(measurements)
 
@@ -177,12 +198,12 @@ def _session_effects(points: CarriedPoints, measurements: Measurements) -> list[
     return effects
 
 
-def _joint_effects(points: CarriedPoints, down: tuple[float, float, float]) -> list[_Effect]:
+def _joint_effects(points: CarriedPoints, load: GravityLoad) -> list[_Effect]:
     """Gear waves joint by joint, sag of all joints, couplings pair by pair."""
     arm, jacobian = points.cell.arm, points.jacobian()
     already = {term.name for term in points.cell.corrections.terms}
     effects = []
-    waves, sags = wave_terms(arm), sag_terms(uniform_load(arm, down), points.q_rad)
+    waves, sags = wave_terms(arm), sag_terms(load, points.q_rad)
     groups = [("wave", tuple(term for term in waves if term.joint == joint)) for joint in range(arm.n)]
     groups += [("sag", sags), *(("coupling", (term,)) for term in coupling_terms(arm))]
     for kind, terms in groups:
@@ -268,8 +289,6 @@ def _sphere_effects(measurements: Measurements) -> list[_Effect]:
 
 def _turning(points: Floats) -> Floats:
     """Columns (M, 3, 3): how a small rotation about x, y, z moves points (M, 3)."""
-    from grindvision.geometry import skew
-
     return -skew(points)
 
 

@@ -21,11 +21,11 @@ from grindvision.calibration.estimate import (
     row_covariances,
 )
 from grindvision.calibration.joint_terms import (
+    GravityLoad,
     JointCorrections,
     JointTerm,
     bases_of,
     sag_terms,
-    uniform_load,
     wave_terms,
 )
 from grindvision.calibration.measurements import Measurements
@@ -67,7 +67,7 @@ def model_error(
     unknowns: Unknowns,
     used: Measurements,
     sigmas: Sigmas,
-    down: tuple[float, float, float],
+    load: GravityLoad,
     terms_too: bool = True,
 ) -> ModelError:
     """Learn from the rows of a fit what gear waves and sag it leaves out, and how far they pull its unknowns.
@@ -76,7 +76,7 @@ def model_error(
     it. Without ``terms_too``, or where the table is not free, only that is looked at.
     """
     known = {term.name for term in unknowns.terms}
-    every = wave_terms(cell.arm) + sag_terms(uniform_load(nominal, down), used.q_rad)
+    every = wave_terms(cell.arm) + sag_terms(load, used.q_rad)
     terms = tuple(term for term in every if term.name not in known)
     if not terms_too or not unknowns.table:
         terms = ()
