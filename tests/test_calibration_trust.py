@@ -1,4 +1,4 @@
-"""What a calibration says of itself: structure in residuals, errors foreseen, units, couplings, sockets, verdicts."""
+"""What a calibration says of itself: structure in residuals, errors predicted, units, couplings, sockets, verdicts."""
 
 import json
 from dataclasses import replace
@@ -17,8 +17,8 @@ from grindvision.calibration import (
     calibrate,
     diagnose_trust,
     error_statistics,
-    foreseen_errors,
     on_test_rows,
+    predict_errors,
     read_measurements,
     residuals_of,
     suggest_poses,
@@ -134,17 +134,17 @@ def test_errors_foreseen_tell_near_from_far_and_suggested_poses_help(rng):
     q = 0.1 * made.measurements.q_rad + [0.3, -0.9, 0.9, 0.2, 0.7, 0.1]
     tracker = made.cell.points_tracker(q, made.measurements.scanner_mm) + 0.05 * rng.normal(size=(60, 3))
     result = calibrate(replace(made.measurements, q_rad=q, tracker_mm=tracker), ur5())
-    foreseen = foreseen_errors(result, rng, count=300)
-    assert foreseen.mean_mm > 5 * foreseen.measured_mean_mm
-    assert diagnose_trust(foreseen, 0.08) and not diagnose_trust(foreseen, 10.0)
-    true = made.cell.points_tracker(foreseen.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
-    found = result.cell.points_tracker(foreseen.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
+    predicted = predict_errors(result, rng, count=300)
+    assert predicted.mean_mm > 5 * predicted.measured_mean_mm
+    assert diagnose_trust(predicted, 0.08) and not diagnose_trust(predicted, 10.0)
+    true = made.cell.points_tracker(predicted.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
+    found = result.cell.points_tracker(predicted.q_rad, made.measurements.scanner_mm[:1].repeat(300, axis=0))
     actual = np.linalg.norm(found - true, axis=1).mean()
-    assert actual / 3 < foreseen.mean_mm < 6 * actual
-    suggestion = suggest_poses(result, foreseen, 6, rng)
-    assert (np.diff(suggestion.mean_mm) <= 1e-9).all() and suggestion.mean_mm[-1] < 0.5 * foreseen.mean_mm
+    assert actual / 3 < predicted.mean_mm < 6 * actual
+    suggestion = suggest_poses(result, predicted, 6, rng)
+    assert (np.diff(suggestion.mean_mm) <= 1e-9).all() and suggestion.mean_mm[-1] < 0.5 * predicted.mean_mm
     with pytest.raises(InputError, match="name a box"):
-        foreseen_errors(result, rng, [[5000, 0, 0], [6000, 1, 1]])
+        predict_errors(result, rng, [[5000, 0, 0], [6000, 1, 1]])
 
 
 def test_a_prismatic_joint_slides_along_its_axis(rng, tmp_path):
@@ -242,7 +242,7 @@ def test_verify_passes_and_fails_by_exit_code(rng, tmp_path):
     words = ["calibrate", str(tmp_path / "m.csv"), "--robot", str(tmp_path / "r.csv"), "-o", str(tmp_path / "cell")]
     assert main([*words, "--suggest", "3", "--beyond-geometry", "off"]) == 0
     report = json.loads((tmp_path / "cell" / "report.json").read_text())
-    assert report["foreseen_mm"]["p95"] > 0 and report["structure"] == []
+    assert report["predicted_mm"]["p95"] > 0 and report["structure"] == []
     assert len((tmp_path / "cell" / "suggested_poses.csv").read_text().splitlines()) == 4
     verify = ["verify", str(tmp_path / "cell"), str(tmp_path / "m.csv"), "-o", str(tmp_path / "v"), "--limit-mm"]
     assert main([*verify, "0.5"]) == 0 and main([*verify, "0.01"]) == 3

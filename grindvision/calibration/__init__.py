@@ -25,7 +25,7 @@ from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.sphere_centres import find_sphere, noise_clumping
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding
-from grindvision.calibration.trust import Foreseen, Suggestion, diagnose_trust, foreseen_errors, suggest_poses
+from grindvision.calibration.trust import PredictedErrors, Suggestion, diagnose_trust, predict_errors, suggest_poses
 from grindvision.calibration.unknowns import Unknowns, entry_name, table_entries
 from grindvision.lazy import lazy_names
 
@@ -36,7 +36,6 @@ __all__ = [
     "CoarseCalibration",
     "ErrorStatistics",
     "Finding",
-    "Foreseen",
     "HeldOut",
     "Identifiability",
     "JointCorrections",
@@ -44,6 +43,7 @@ __all__ = [
     "Measurements",
     "Options",
     "PoseChoice",
+    "PredictedErrors",
     "ScannerOnArm",
     "Sigmas",
     "Suggestion",
@@ -64,12 +64,12 @@ __all__ = [
     "error_statistics",
     "evaluate",
     "find_sphere",
-    "foreseen_errors",
     "joint_jacobian",
     "moved_cell",
     "noise_clumping",
     "noise_covariances",
     "on_test_rows",
+    "predict_errors",
     "read_cell",
     "read_measurements",
     "residuals_of",
@@ -84,4 +84,6 @@ __all__ = [
     "whitened_jacobian",
 ]
 
-_, __getattr__ = lazy_names(__name__, {}, {"doubt_about": "diagnose_trust"})
+_, __getattr__ = lazy_names(
+    __name__, {}, {"doubt_about": "diagnose_trust", "Foreseen": "PredictedErrors", "foreseen_errors": "predict_errors"}
+)

@@ -33,10 +33,11 @@ from grindvision.calibration.robust import consistent_rows
 from grindvision.calibration.starts import place_unseen_fixtures
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding, sentences_of, structure_in
-from grindvision.calibration.uncertainty import ModelError, foreseen_rms_mm, honest_covariance, model_error, one_sigma
+from grindvision.calibration.uncertainty import ModelError, honest_covariance, model_error, one_sigma, predicted_rms_mm
 from grindvision.calibration.unknowns import Unknowns, table_entries, unknowns_for
 from grindvision.errors import UnitError
 from grindvision.geometry import inverse
+from grindvision.lazy import renamed_property
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 
@@ -125,12 +126,14 @@ class Calibration:
             self.arm, change, known.known[unknowns.in_table], error_statistics(residuals_of(cell, test)).mean
         )
 
-    def foreseen_rms_mm(self, q_rad: Floats, points_scanner: Floats) -> Floats:
+    def predicted_rms_mm(self, q_rad: Floats, points_scanner: Floats) -> Floats:
         """Root mean square error (P,) in mm to expect at joint angles (P, n) for points (P, 3) of the scanner's frame.
 
         The systematic part: what is left of the arm's and the scanner's errors, without the noise of measuring.
         """
-        return foreseen_rms_mm(self.cell, self.unknowns, self.model_error, q_rad, points_scanner)
+        return predicted_rms_mm(self.cell, self.unknowns, self.model_error, self.findings, q_rad, points_scanner)
+
+    foreseen_rms_mm = renamed_property("foreseen_rms_mm", "predicted_rms_mm")
 
     def __str__(self) -> str:
         state = "" if self.converged else ", not converged"
@@ -249,22 +252,22 @@ def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Un
     return unknowns_for(measurements, table_entries(arm, options.free), options.base_fixed)
 
 
-#: Test rows whose errors are so many times what the fit foresees make its statement doubtful.
-WORSE_THAN_FORESEEN = 1.6
+#: Test rows whose errors are so many times what the fit predicts make its statement doubtful.
+WORSE_THAN_PREDICTED = 1.6
 
 
 def _judge_test_rows(fit: Fit, unknowns: Unknowns, training: Measurements, measurements: Measurements) -> list[str]:
-    """Name test rows that contradict the calibration, and say where they all lie further off than it foresees."""
+    """Name test rows that contradict the calibration, and say where they all lie further off than it predicts."""
     test = measurements.rows(~measurements.train)
     expected = expected_covariance(fit, unknowns, training, test, np.zeros(len(test), dtype=bool))
     residuals = residuals_of(fit.cell, test)
     odd = np.flatnonzero(~measurements.train)[~consistent_rows(residuals, expected)]
     told = _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
-    foreseen = np.sqrt(np.median(np.trace(expected, axis1=1, axis2=2)))
+    predicted = np.sqrt(np.median(np.trace(expected, axis1=1, axis2=2)))
     found = np.sqrt(np.median((residuals**2).sum(axis=1)) * 3 / 2.366)
-    if found > WORSE_THAN_FORESEEN * foreseen and len(test) >= 6:
+    if found > WORSE_THAN_PREDICTED * predicted and len(test) >= 6:
         told.append(
-            f"the test rows are {found:.2g} mm off (typical rms) where the training rows foresee {foreseen:.2g} mm:"
+            f"the test rows are {found:.2g} mm off (typical rms) where the training rows predict {predicted:.2g} mm:"
             " something changed between the two, or the training rows do not reach there"
         )
     return told

@@ -15,6 +15,7 @@ from grindvision.calibration.joint_terms import (
     JointTerm,
     coupling_terms,
     sag_terms,
+    wave_pair,
     wave_terms,
 )
 from grindvision.calibration.measurements import Measurements
@@ -86,10 +87,10 @@ def kinds_of_terms(load: GravityLoad, q_rad: Floats, gear_ratios: tuple[float, .
     waves, sag, coupling = wave_terms(arm), sag_terms(load, q_rad), coupling_terms(arm)
     if gear_ratios:
         waves += tuple(
-            JointTerm(joint, kind, abs(ratio))
+            term
             for joint, ratio in enumerate(gear_ratios)
             if ratio and not arm.prismatic[joint]
-            for kind in ("cos", "sin")
+            for term in wave_pair(joint, abs(ratio))
         )
     kinds = {"gear waves": waves, "sag": sag, "gear waves and sag": waves + sag, "couplings": coupling}
     found = {kind: TermKind(terms) for kind, terms in kinds.items() if terms}

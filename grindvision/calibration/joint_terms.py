@@ -125,14 +125,19 @@ class JointCorrections:
         return replace(self, values=tuple(float(a + b) for a, b in zip(self.values, np.asarray(step), strict=True)))
 
 
+def wave_pair(joint: int, order: float) -> tuple[JointTerm, JointTerm]:
+    """The two terms of a wave of ``order`` a turn of joint number ``joint`` (from 0)."""
+    return JointTerm(joint, "cos", order), JointTerm(joint, "sin", order)
+
+
 def wave_terms(arm: MdhArm, orders: Sequence[float] = (1.0, 2.0)) -> tuple[JointTerm, ...]:
     """Gear waves: cos and sin of ``orders`` times the angle of every revolute joint."""
     return tuple(
-        JointTerm(joint, kind, float(order))
+        term
         for joint in range(arm.n)
         if not arm.prismatic[joint]
         for order in orders
-        for kind in ("cos", "sin")
+        for term in wave_pair(joint, float(order))
     )
 
 

@@ -26,7 +26,7 @@ UNIT_NAMES = {
 }  # fmt: skip
 
 #: A factor this near to a unit's is that unit; this far from 1 it is no error of scale.
-UNIT_TOLERANCE, LEAST_FACTOR = 0.04, 0.05
+UNIT_TOLERANCE, MIN_FACTOR = 0.04, 0.05
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _other_units(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int
     tracker, scanner = unit_factors(measurements.rows(fitted), arm, seed)
     columns = [("tracker_mm", "bx_mm to bz_mm", tracker), ("scanner_mm", "sx_mm to sz_mm", scanner)]
     for column, names, found in columns:
-        if np.isfinite(found) and found > 0 and abs(np.log(found)) > LEAST_FACTOR:
+        if np.isfinite(found) and found > 0 and abs(np.log(found)) > MIN_FACTOR:
             factor, unit = _named_factor(found)
             hint = f": {unit}?" if unit else ""
             against = " (or the robot table the other way)" if measurements.on_tool else ""
@@ -114,7 +114,7 @@ def _other_units(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int
             )
     if np.isfinite(scanner) and scanner > 0 and abs(np.log(tracker / scanner)) < 0.1:
         factor, unit = _named_factor(1 / tracker)
-        if abs(np.log(factor)) > LEAST_FACTOR:
+        if abs(np.log(factor)) > MIN_FACTOR:
             table = arm.table * [1.0, factor, factor, 1.0, 1.0]
             hint = f": {unit}?" if unit else ""
             yield Mistake(

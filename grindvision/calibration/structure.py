@@ -8,14 +8,23 @@ model before the others are asked again, so that one cause is named once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from grindvision.calibration.estimate import Sigmas, deviations, unit_sizes
-from grindvision.calibration.joint_terms import GravityLoad, bases_of, coupling_terms, sag_terms, wave_terms
+from grindvision.calibration.joint_terms import (
+    GravityLoad,
+    JointCorrections,
+    JointTerm,
+    bases_of,
+    coupling_terms,
+    sag_terms,
+    wave_pair,
+    wave_terms,
+)
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints, ScannerOnArm
 from grindvision.calibration.unknowns import Unknowns
@@ -42,7 +51,7 @@ class Finding:
     """A structure in the residuals: its ``kind``, how far it moves points (rms, mm), and a sentence for a person.
 
     ``explained`` is the fraction of the residuals' squares that it explains, ``p_value`` the chance of as much from
-    noise. ``bias`` (K,) is how far it pulls the fit's unknowns.
+    noise. ``bias`` (K,) is how far it pulls the fit's unknowns; ``waves`` are the joint terms of a wave that was found.
     """
 
     kind: str
@@ -51,6 +60,7 @@ class Finding:
     p_value: float
     sentence: str
     bias: Floats
+    waves: JointCorrections = field(default_factory=JointCorrections)
 
 
 @by_content
@@ -59,6 +69,7 @@ class _Effect:
     kind: str
     columns: Floats
     describe: Describe
+    terms: tuple[JointTerm, ...] = ()
 
 
 def structure_in(
@@ -106,7 +117,8 @@ def structure_in(
         scale = np.maximum(np.linalg.norm(fit.whiten(effect.columns), axis=0), 1e-12)
         size, sentence = effect.describe(values / scale)
         bias = -np.linalg.lstsq(fit.design, block @ values, rcond=1e-10)[0] * units
-        found.append(Finding(effect.kind, size, -loss / total, chance * tested, sentence, bias))
+        waves = JointCorrections(effect.terms, tuple((values / scale)[: len(effect.terms)].tolist()))
+        found.append(Finding(effect.kind, size, -loss / total, chance * tested, sentence, bias, waves))
         basis = np.hstack([basis, sides])
         left = left - sides @ (sides.T @ left)
         freedom -= sides.shape[1]
@@ -145,7 +157,7 @@ def _wave_effect(fit: LinearFit, wave: Wave) -> _Effect:
             " the poses measured, or use the joint terms where the report has them"
         )
 
-    return _Effect("wave", columns, told)
+    return _Effect("wave", columns, told, wave_pair(wave.joint, wave.order))
 
 
 def _effects(points: CarriedPoints, measurements: Measurements, load: GravityLoad) -> list[_Effect]:

@@ -1,4 +1,4 @@
-"""Where a calibration holds: errors foreseen over the arm's joint range or a work space, and poses that would help."""
+"""Where a calibration holds: errors predicted over the arm's joint range or a work space, and poses that would help."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ TRIED, ENOUGH = 40_000, 40
 
 @by_content
 @dataclass(frozen=True)
-class Foreseen:
-    """Errors foreseen at P poses ``q_rad`` (P, n), mm: ``rms_mm`` (P,) at points ``base_mm`` (P, 3), base frame.
+class PredictedErrors:
+    """Errors predicted at P poses ``q_rad`` (P, n), mm: ``rms_mm`` (P,) at points ``base_mm`` (P, 3), base frame.
 
     ``where`` says in words which poses these are; ``measured_rms_mm`` (M,) is the same at the measured poses.
     """
@@ -50,14 +50,14 @@ class Foreseen:
         return float(MEAN_OF_RMS * self.measured_rms_mm.mean())
 
     @property
-    def worst_mm(self) -> float:
+    def p95_mm(self) -> float:
         """What 95 % of the poses stay below, mean error each."""
         return float(MEAN_OF_RMS * np.quantile(self.rms_mm, 0.95))
 
     def __str__(self) -> str:
         return (
-            f"foreseen without noise: {self.measured_mean_mm:.3f} mm at the measured poses, {self.mean_mm:.3f} mm"
-            f" {self.where} (95 % below {self.worst_mm:.3f} mm)"
+            f"predicted without noise: {self.measured_mean_mm:.3f} mm at the measured poses, {self.mean_mm:.3f} mm"
+            f" {self.where} (95 % below {self.p95_mm:.3f} mm)"
         )
 
 
@@ -77,10 +77,10 @@ def joint_ranges(arm: MdhArm, measurements: Measurements) -> tuple[Floats, str]:
     return ranges, "over all joint angles (-180 to 180 deg; the robot table has no limits)"
 
 
-def foreseen_errors(
+def predict_errors(
     calibration: Calibration, rng: np.random.Generator, box_mm: ArrayLike | None = None, count: int = 1500
-) -> Foreseen:
-    """Errors foreseen at random poses over the joints' range, or at those that bring the point into a box.
+) -> PredictedErrors:
+    """Errors predicted at random poses over the joints' range, or at those that bring the point into a box.
 
     Args:
         calibration: what was found.
@@ -107,18 +107,18 @@ def foreseen_errors(
                 f" random poses; the arm reaches {reached} mm (base frame): name a box that it works in"
             )
         q, base, where = q[inside], base[inside], "in the box of the work"
-    rms = calibration.foreseen_rms_mm(q, np.broadcast_to(point, (len(q), 3)))
+    rms = calibration.predicted_rms_mm(q, np.broadcast_to(point, (len(q), 3)))
     train = measurements.rows(measurements.train)
-    return Foreseen(q, base, rms, calibration.foreseen_rms_mm(train.q_rad, train.scanner_mm), where)
+    return PredictedErrors(q, base, rms, calibration.predicted_rms_mm(train.q_rad, train.scanner_mm), where)
 
 
-def diagnose_trust(foreseen: Foreseen, stated_mean_mm: float) -> list[str]:
+def diagnose_trust(predicted: PredictedErrors, stated_mean_mm: float) -> list[str]:
     """A sentence where the error over these poses is far from the ``stated_mean_mm`` of the held-out rows."""
-    if foreseen.mean_mm < FAR_WORSE * stated_mean_mm:
+    if predicted.mean_mm < FAR_WORSE * stated_mean_mm:
         return []
     return [
-        f"the stated {stated_mean_mm:.2g} mm hold near the measured poses; {foreseen.where} expect"
-        f" {foreseen.mean_mm:.2g} mm on average and {foreseen.worst_mm:.2g} mm at 95 %: measure there too (--suggest 12"
+        f"the stated {stated_mean_mm:.2g} mm hold near the measured poses; {predicted.where} expect"
+        f" {predicted.mean_mm:.2g} mm on average and {predicted.p95_mm:.2g} mm at 95 %: measure there too (--suggest 12"
         " names poses)"
     ]
 
@@ -126,26 +126,26 @@ def diagnose_trust(foreseen: Foreseen, stated_mean_mm: float) -> list[str]:
 @by_content
 @dataclass(frozen=True)
 class Suggestion:
-    """Poses ``q_rad`` (N, n) to measure next, best first, and the mean error in mm foreseen after each."""
+    """Poses ``q_rad`` (N, n) to measure next, best first, and the mean error in mm predicted after each."""
 
     q_rad: Floats
     mean_mm: Floats
 
     def __str__(self) -> str:
-        return f"{len(self.q_rad)} more poses: {self.mean_mm[-1]:.3f} mm foreseen after them"
+        return f"{len(self.q_rad)} more poses: {self.mean_mm[-1]:.3f} mm predicted after them"
 
 
 def suggest_poses(
-    calibration: Calibration, foreseen: Foreseen, count: int, rng: np.random.Generator, candidates: int = 400
+    calibration: Calibration, predicted: PredictedErrors, count: int, rng: np.random.Generator, candidates: int = 400
 ) -> Suggestion:
-    """Choose the poses whose measurement lowers the foreseen error most, one after the other (I-optimal, greedy).
+    """Choose the poses whose measurement lowers the predicted error most, one after the other (I-optimal, greedy).
 
-    Candidates are drawn from the poses of ``foreseen``; each is taken to be measured with the noise that was found.
+    Candidates are drawn from the poses of ``predicted``; each is taken to be measured with the noise that was found.
 
     Raises:
         InputError: fewer than one pose, or more than there are candidates.
     """
-    chosen_from = rng.permutation(len(foreseen.q_rad))[:candidates]
+    chosen_from = rng.permutation(len(predicted.q_rad))[:candidates]
     if not 1 <= count <= len(chosen_from):
         raise InputError(f"{count} poses asked for; 1 to {len(chosen_from)} can be suggested")
     measurements, unknowns = calibration.measurements, calibration.unknowns
@@ -154,10 +154,10 @@ def suggest_poses(
     def designs(q: Floats) -> Floats:
         return carry(calibration.cell, q, np.broadcast_to(point, (len(q), 3))).design(unknowns)
 
-    targets = designs(foreseen.q_rad)
+    targets = designs(predicted.q_rad)
     flat = targets.reshape(-1, len(unknowns))
     weight = flat.T @ flat / len(targets)
-    q = foreseen.q_rad[chosen_from]
+    q = predicted.q_rad[chosen_from]
     offered = designs(q)
     noise = noise_covariances(
         calibration.cell,
@@ -165,7 +165,7 @@ def suggest_poses(
         calibration.sigmas,
     )
     covariance = calibration.model_error.covariance[: len(unknowns), : len(unknowns)].copy()
-    rest = float(np.mean(foreseen.rms_mm**2)) - float(np.sum(weight * covariance))
+    rest = float(np.mean(predicted.rms_mm**2)) - float(np.sum(weight * covariance))
     taken: list[int] = []
     means = []
     for _ in range(count):

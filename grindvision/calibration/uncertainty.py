@@ -1,4 +1,4 @@
-"""How far a calibration may be trusted: covariances with the model's own error, and errors foreseen anywhere."""
+"""How far a calibration may be trusted: covariances with the model's own error, and errors predicted anywhere."""
 
 from __future__ import annotations
 
@@ -143,20 +143,34 @@ def one_sigma(error: ModelError, findings: Sequence[Finding] = ()) -> Floats:
     return random * high
 
 
-def foreseen_rms_mm(
-    cell: ScannerOnArm, unknowns: Unknowns, error: ModelError, q_rad: ArrayLike, points_scanner: ArrayLike
+def predicted_rms_mm(
+    cell: ScannerOnArm,
+    unknowns: Unknowns,
+    error: ModelError,
+    findings: Sequence[Finding],
+    q_rad: ArrayLike,
+    points_scanner: ArrayLike,
 ) -> Floats:
-    """Root mean square error (P,) in mm foreseen at joint angles (P, n) for points (P, 3) of the scanner's frame.
+    """Root mean square error (P,) in mm predicted at joint angles (P, n) for points (P, 3) of the scanner's frame.
 
-    The systematic part: what calibration leaves of the arm's and the scanner's errors, without the noise of measuring.
+    The systematic part: what calibration leaves of the arm's and the scanner's errors, with the waves that were found
+    and what drifts, jumps and wrong scales pull the unknowns by; without the noise of measuring.
     """
     points = carry(cell, q_rad, points_scanner)
     keep = ~(unknowns.in_fixtures | unknowns.in_reflectors)
     design = points.design(replace(unknowns, fixtures=(), reflectors=()))
-    columns = points.jacobian()[:, :, [term.joint for term in error.terms]]
-    columns = columns * bases_of(error.terms, points.q_rad)[:, None, :]
-    every = np.concatenate([design, columns], axis=2)
+    jacobian = points.jacobian()
+
+    def columns(terms: tuple[JointTerm, ...]) -> Floats:
+        return jacobian[:, :, [term.joint for term in terms]] * bases_of(terms, points.q_rad)[:, None, :]
+
+    every = np.concatenate([design, columns(error.terms)], axis=2)
     chosen = np.concatenate([keep, np.ones(len(error.terms), dtype=bool)])
     variance = np.einsum("mik,kl,mil->m", every, error.covariance[np.ix_(chosen, chosen)], every)
-    known = every @ np.concatenate([error.bias[keep], error.values])
-    return np.sqrt(np.maximum(variance, 0.0) + (known**2).sum(axis=1))
+    square = ((every @ np.concatenate([error.bias[keep], error.values])) ** 2).sum(axis=1)
+    for finding in findings:
+        if finding.kind in PULLING:
+            square = square + ((design @ finding.bias[keep]) ** 2).sum(axis=1)
+        if finding.waves.terms:
+            square = square + ((columns(finding.waves.terms) @ np.array(finding.waves.values)) ** 2).sum(axis=1)
+    return np.sqrt(np.maximum(variance, 0.0) + square)

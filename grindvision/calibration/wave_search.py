@@ -10,7 +10,7 @@ from scipy.stats import f as fisher
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.estimate import Sigmas, deviations, prior_widths, residuals_of, unit_sizes
-from grindvision.calibration.joint_terms import JointTerm
+from grindvision.calibration.joint_terms import JointTerm, wave_pair
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints, ScannerOnArm, carried
 from grindvision.calibration.pose_whitening import PoseWhitening, pose_whitening
@@ -88,7 +88,7 @@ class Wave:
 
 
 def strongest_wave(fit: LinearFit, basis: Floats, left: Floats, freedom: int, orders: Floats) -> Wave | None:
-    """Find the wave that explains most of ``left`` (R,) beside the columns of ``basis`` (R, B); None: no joint turns."""
+    """Find the wave that explains most of ``left`` (R,) beside ``basis`` (R, B); None: no joint turns."""
     best, gain = None, 0.0
     if freedom < 8:
         return None
@@ -136,7 +136,7 @@ def find_waves(
         wave = strongest_wave(fit, basis, left, freedom, ORDERS)
         if wave is None or wave.p_value * tested > FALSE_WAVE:
             break
-        terms += (JointTerm(wave.joint, "cos", wave.order), JointTerm(wave.joint, "sin", wave.order))
+        terms += wave_pair(wave.joint, wave.order)
         basis = np.hstack([basis, wave.columns])
         left = left - wave.columns @ (wave.columns.T @ left)
         freedom -= 2

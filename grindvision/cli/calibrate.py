@@ -121,7 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=6,
         type=number,
         metavar=("X1", "Y1", "Z1", "X2", "Y2", "Z2"),
-        help="two corners of the work, mm, base frame: the error is foreseen there instead of over all joint angles",
+        help="two corners of the work, mm, base frame: the error is predicted there instead of over all joint angles",
     )
     where.add_argument(
         "--suggest", type=whole, metavar="N", help="write suggested_poses.csv: N joint angles that would help most"
@@ -179,12 +179,12 @@ def run(options: argparse.Namespace) -> int:
                 unseen = replace(unseen, how=f"{drawn}, seed {options.seed}")
         with work.stage("trust"):
             box = None if options.box is None else np.reshape(options.box, (2, 3))
-            foreseen = calibration.foreseen_errors(result, np.random.default_rng(options.seed), box)
+            predicted = calibration.predict_errors(result, np.random.default_rng(options.seed), box)
             suggestion = None
             if options.suggest is not None:
                 rng = np.random.default_rng(options.seed)
-                suggestion = calibration.suggest_poses(result, foreseen, options.suggest, rng)
-        told = [*result.warnings, *calibration.diagnose_trust(foreseen, unseen.after.mean)]
+                suggestion = calibration.suggest_poses(result, predicted, options.suggest, rng)
+        told = [*result.warnings, *calibration.diagnose_trust(predicted, unseen.after.mean)]
         if not unseen.improved:
             told.append("calibration did not help: unseen points are no nearer than before; do not use the result")
         for sentence in told:
@@ -192,7 +192,7 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("write"):
             write_results(result, source, suggestion, work.place)
         with work.stage("picture"):
-            draw(result, unseen, foreseen, work.warnings, work.place / "report.png")
+            draw(result, unseen, predicted, work.warnings, work.place / "report.png")
         values: dict[str, Any] = {
             "joints": arm.n,
             "measured point": _measured_point(measurements),
@@ -207,10 +207,10 @@ def run(options: argparse.Namespace) -> int:
             shown.append(f"rows left out: {result.errors_of_dropped()}")
         if unseen.beyond is not None and result.beyond is not None:
             shown.append(f"with {result.beyond.kind} (beyond_geometry.json): {unseen.beyond}")
-        shown.append(str(foreseen))
+        shown.append(str(predicted))
         if suggestion is not None:
             shown.append(f"{suggestion} (suggested_poses.csv)")
-        work.report(str(result), results_of(result, unseen, foreseen, suggestion), values, shown="\n".join(shown))
+        work.report(str(result), results_of(result, unseen, predicted, suggestion), values, shown="\n".join(shown))
     return 0
 
 

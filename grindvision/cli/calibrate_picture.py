@@ -18,21 +18,21 @@ with extra("plot"):
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from grindvision.calibration import Calibration, Foreseen, HeldOut
+    from grindvision.calibration import Calibration, HeldOut, PredictedErrors
 
 BEFORE, AFTER, BEYOND = "#999999", "#0072B2", "#009E73"
 
 
-def draw(result: Calibration, unseen: HeldOut, foreseen: Foreseen, warnings: Sequence[str], path: Path) -> None:
+def draw(result: Calibration, unseen: HeldOut, predicted: PredictedErrors, warnings: Sequence[str], path: Path) -> None:
     """Draw report.png: the verdict, errors before and after, residuals, where it holds, what can be known."""
     figure = Figure(figsize=(12.5, 8), layout="constrained")
     axes = figure.subplots(2, 3)
     _draw_errors(axes[0, 0], unseen)
     _draw_residuals(axes[0, 1], unseen)
-    _draw_reach(axes[0, 2], foreseen, (0, 1))
+    _draw_reach(axes[0, 2], predicted, (0, 1))
     _draw_values(axes[1, 0], result)
     _draw_words(axes[1, 1], result)
-    _draw_reach(axes[1, 2], foreseen, (None, 2))
+    _draw_reach(axes[1, 2], predicted, (None, 2))
     after, before = unseen.after, unseen.before
     state = "Calibrated, with doubts" if warnings else "Calibrated"
     verdict = f"{state}: unseen points are {after.mean:.3f} mm off on average, {after.max:.3f} mm at most"
@@ -65,18 +65,18 @@ def _draw_residuals(axes: Axes, unseen: HeldOut) -> None:
     axes.legend(frameon=False, ncols=3)
 
 
-def _draw_reach(axes: Axes, foreseen: Foreseen, which: tuple[int | None, int]) -> None:
-    """Points of the workspace coloured by the error foreseen: from above, or distance from the axis and height."""
+def _draw_reach(axes: Axes, predicted: PredictedErrors, which: tuple[int | None, int]) -> None:
+    """Points of the workspace coloured by the error predicted: from above, or distance from the axis and height."""
     across, up = which
-    base = foreseen.base_mm
+    base = predicted.base_mm
     horizontal = np.hypot(base[:, 0], base[:, 1]) if across is None else base[:, across]
-    order = np.argsort(foreseen.rms_mm)
-    mean = 0.9213 * foreseen.rms_mm[order]
+    order = np.argsort(predicted.rms_mm)
+    mean = 0.9213 * predicted.rms_mm[order]
     top = float(np.quantile(mean, 0.98))
     dots = axes.scatter(
         horizontal[order], base[order, up], c=mean, s=5, cmap="viridis", vmin=0, vmax=top, rasterized=True
     )
-    axes.figure.colorbar(dots, ax=axes, label="mean error foreseen, mm")
+    axes.figure.colorbar(dots, ax=axes, label="mean error predicted, mm")
     axes.set_aspect("equal", adjustable="datalim")
     name = "distance from joint 1's axis" if across is None else "x"
     axes.set(xlabel=f"{name}, base frame, mm", ylabel=f"{'xyz'[up]}, mm")

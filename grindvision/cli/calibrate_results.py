@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from grindvision.arm.urdf_chain import UrdfChain
-    from grindvision.calibration import Calibration, Foreseen, HeldOut, Measurements, Suggestion
+    from grindvision.calibration import Calibration, HeldOut, Measurements, PredictedErrors, Suggestion
 
 #: Files that an earlier run may have left and a later one may not write.
 OUTDATED = (
@@ -127,7 +127,7 @@ def beyond_of(result: Calibration) -> dict[str, Any]:
 
 
 def results_of(
-    result: Calibration, unseen: HeldOut, foreseen: Foreseen, suggestion: Suggestion | None
+    result: Calibration, unseen: HeldOut, predicted: PredictedErrors, suggestion: Suggestion | None
 ) -> dict[str, Any]:
     """What report.json says of a calibration."""
     from dataclasses import asdict
@@ -153,11 +153,11 @@ def results_of(
         "singular_values": knowledge.singular_values,
         "errors_mm": {part: {when: asdict(value) for when, value in both.items()} for part, both in errors.items()},
         "held_out": unseen.how,
-        "foreseen_mm": {
-            "where": foreseen.where,
-            "mean": foreseen.mean_mm,
-            "p95": foreseen.worst_mm,
-            "at_measured_poses": foreseen.measured_mean_mm,
+        "predicted_mm": {
+            "where": predicted.where,
+            "mean": predicted.mean_mm,
+            "p95": predicted.p95_mm,
+            "at_measured_poses": predicted.measured_mean_mm,
             "after_suggested_poses": None if suggestion is None else suggestion.mean_mm[-1],
         },
         "structure": [
