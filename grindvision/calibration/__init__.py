@@ -84,6 +84,9 @@ __all__ = [
     "whitened_jacobian",
 ]
 
-_, __getattr__ = lazy_names(
-    __name__, {}, {"doubt_about": "diagnose_trust", "Foreseen": "PredictedErrors", "foreseen_errors": "predict_errors"}
-)
+_RENAMED = {
+    "doubt_about": "diagnose_trust",
+    "Foreseen": "PredictedErrors",
+    "foreseen_errors": "predict_errors",
+}
+_, __getattr__ = lazy_names(__name__, {}, _RENAMED)

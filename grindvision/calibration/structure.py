@@ -98,13 +98,13 @@ def structure_in(
     blocks = [fit.block(effect.columns) for effect in effects]
     basis, left = fit.basis, fit.left
     freedom = len(left) - len(unknowns)
-    waves = ORDERS[ORDERS > 2]
-    tested = len(effects) + len(waves) * cell.arm.n
+    orders = ORDERS[ORDERS > 2]
+    tested = len(effects) + len(orders) * cell.arm.n
     found: list[Finding] = []
     for _ in range(MAX_FINDINGS):
         total = float(left @ left)
         best = _strongest(effects, blocks, basis, left, freedom)
-        wave = strongest_wave(fit, basis, left, freedom, waves)
+        wave = strongest_wave(fit, basis, left, freedom, orders)
         if wave is not None and (best is None or (wave.p_value, -wave.gain) < best[:2]):
             effect = _wave_effect(fit, wave)
             best = (wave.p_value, -wave.gain, effect, fit.block(effect.columns), wave.columns)

@@ -49,9 +49,11 @@ results in DIR:
   zero_offsets.csv what to add to each joint's zero, in degrees, for controllers that take nothing else (ABB, KUKA,
                    FANUC), from a fit of its own with only these free; calibration.conf: of a UR, the deltas
   robot.urdf       the given URDF with corrected joint origins (only with --robot ROBOT.urdf)
-  beyond_geometry.json  gear waves, sag or couplings, where held-out poses say that they help, with their own table
+  beyond_geometry.json  gear waves (one and two a turn, or of any number found in the data), sag or couplings, where
+                   held-out poses say that they help, with their own table
   report.png       did it work? errors of unseen points, residuals, where it holds, what can be known
-  report.json      errors, rank, singular values, standard deviations (null: cannot be known), warnings; written last
+  report.json      errors, rank, singular values, standard deviations (null: cannot be known), warnings; written last;
+                   predicted_mm: error over the joints' range or --box (foreseen_mm is its old name, for one version)
 
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
 

@@ -147,19 +147,21 @@ def results_of(
         kept = ~np.isin(unseen.rows, result.dropped)
         if not kept.all() and kept.any():
             errors["test_without_dropped"] = {"after": unseen.part(kept).after}
+    everywhere = {
+        "where": predicted.where,
+        "mean": predicted.mean_mm,
+        "p95": predicted.p95_mm,
+        "at_measured_poses": predicted.measured_mean_mm,
+        "after_suggested_poses": None if suggestion is None else suggestion.mean_mm[-1],
+    }
     return {
         "rank": knowledge.rank,
         "unknowns": len(names),
         "singular_values": knowledge.singular_values,
         "errors_mm": {part: {when: asdict(value) for when, value in both.items()} for part, both in errors.items()},
         "held_out": unseen.how,
-        "predicted_mm": {
-            "where": predicted.where,
-            "mean": predicted.mean_mm,
-            "p95": predicted.p95_mm,
-            "at_measured_poses": predicted.measured_mean_mm,
-            "after_suggested_poses": None if suggestion is None else suggestion.mean_mm[-1],
-        },
+        "predicted_mm": everywhere,
+        "foreseen_mm": everywhere,  # the old key, for one version
         "structure": [
             {name: getattr(finding, name) for name in ("kind", "size_mm", "explained", "p_value", "sentence")}
             for finding in result.findings
