@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.calibration import (
+    Calibration,
     Measurements,
     Options,
     PoseChoice,
+    PredictedErrors,
     ScannerOnArm,
     Sigmas,
     Unknowns,
     calibrate,
     choose_poses,
+    on_test_rows,
+    suggest_poses,
     table_entries,
     unit_sizes,
     whitened_jacobian,
 )
+from grindvision.calibration.uncertainty import MEAN_OF_RMS
 from grindvision.cell import (
     CalibrationPlan,
+    GrindingRobot,
     directions_seeing,
+    drawn_joint_errors,
     measured,
 )
 from grindvision.cell.joint_errors import JointErrors
 from grindvision.errors import SightError
 from grindvision_book.chapter_03 import (
+    NoiseFree,
     aligned_tracker,
     coarse_experiment,
     first_robot,
     measurements_of,
+    noise_free,
     paper_plan,
+    poses_in_the_measuring_space,
     random_readings,
     robot_number,
     without,
@@ -147,3 +157,87 @@ def optimal_poses(spheres: int, count: int) -> PoseChoice:
     spreads = Sigmas(0.02, np.radians(robot.joint_noise_deg), 1.0, 1.0)
     rows = whitened_jacobian(cell, unknowns, foreseen, spreads) * unit_sizes(foreseen, unknowns)
     return choose_poses(rows.reshape(len(foreseen), 3, -1), count, np.random.default_rng(0))
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A calibration with its robot, judged where it was measured (``here``) and all over the workspace (``there``)."""
+
+    robot: GrindingRobot
+    measurements: Measurements
+    fit: Calibration
+    here: NoiseFree
+    there: NoiseFree
+
+    def predicted_mm(self, at: NoiseFree) -> NDArray[np.float64]:
+        """Mean error (M,) in mm that the calibration predicts at readings, from what it was fitted to alone."""
+        return MEAN_OF_RMS * self.fit.predicted_rms_mm(at.q_rad, at.scanner_mm)
+
+    def true_mm(self, at: NoiseFree) -> NDArray[np.float64]:
+        """Distances (M,) from the truth in mm at readings."""
+        return at.errors_mm(self.fit.cell, aligned_tracker())
+
+    def suggested(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Joint angles (count, n) that would lower the predicted error over the workspace most."""
+        train = self.measurements.rows(self.measurements.train)
+        there = PredictedErrors(
+            self.there.q_rad,
+            self.there.centres_base_mm,
+            self.fit.predicted_rms_mm(self.there.q_rad, self.there.scanner_mm),
+            self.fit.predicted_rms_mm(train.q_rad, train.scanner_mm),
+            "over the workspace, looking down",
+        )
+        return suggest_poses(self.fit, there, count, rng).q_rad
+
+    def with_more(self, q_rad: ArrayLike, rng: np.random.Generator) -> Elsewhere:
+        """The calibration again with a sphere measured at each of some more joint angles (M, n)."""
+        q = np.asarray(q_rad, dtype=float)
+        poses = self.robot.believed_poses(q)
+        centres = poses[:, :3, 3] + 400.0 * poses[:, :3, 2]
+        plan = CalibrationPlan(centres, np.arange(len(q)), q, np.ones(len(q), dtype=bool))
+        more = measurements_of(measured(plan, self.robot, aligned_tracker(), rng, every=None))
+        old, columns = self.measurements, ("q_rad", "scanner_mm", "tracker_mm", "train")
+        both = {name: np.concatenate([getattr(old, name), getattr(more, name)]) for name in columns}
+        labels = {
+            name: np.append(getattr(old, name), [f"more {i}" for i in range(len(q))]) for name in ("pose", "sphere")
+        }
+        measurements = Measurements(**both, **labels)
+        fit = calibrate(measurements, self.robot.nominal, Options(base_fixed=True))
+        return replace(self, measurements=measurements, fit=fit)
+
+
+def elsewhere(rng: np.random.Generator, worn: bool = True, readings: int = 400) -> Elsewhere:
+    """The paper's calibration of an arm, ``worn``: whose gears wave and whose links sag, with both places to judge it.
+
+    Args:
+        rng: draws the scanner, the wear and the noise.
+        worn: see above; else the twin, whose joints err at random alone.
+        readings: over the workspace.
+    """
+    robot, plan = robot_number(int(rng.integers(2**31))), paper_plan()
+    if worn:
+        robot = replace(robot, joint_errors=drawn_joint_errors(robot.true, rng))
+    measurements = measurements_of(measured(plan, robot, aligned_tracker(), rng, every=None))
+    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
+    here = noise_free(robot, *poses_in_the_measuring_space(120))
+    return Elsewhere(robot, measurements, fit, here, random_readings(robot, readings, np.random.default_rng(0)))
+
+
+def elsewhere_trial(rng: np.random.Generator, worn: bool, more: int = 12) -> dict[str, float]:
+    """Mean errors in mm here and there, as predicted and true, and true ones after ``more`` poses were measured.
+
+    ``held_out`` is what the paper's test spheres say, noise of measuring included.
+    """
+    found = elsewhere(rng, worn)
+    held_out = on_test_rows(found.fit).after.mean
+    chosen = found.with_more(found.suggested(more, rng), rng)
+    at_random = found.with_more(random_readings(found.robot, more, rng).q_rad, rng)
+    return {
+        "held_out": held_out,
+        "predicted_here": float(found.predicted_mm(found.here).mean()),
+        "true_here": float(found.true_mm(found.here).mean()),
+        "predicted_there": float(found.predicted_mm(found.there).mean()),
+        "true_there": float(found.true_mm(found.there).mean()),
+        "suggested_there": float(chosen.true_mm(chosen.there).mean()),
+        "random_there": float(at_random.true_mm(at_random.there).mean()),
+    }

@@ -8,7 +8,7 @@ model before the others are asked again, so that one cause is named once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from scipy.stats import f as fisher
 from grindvision.calibration.estimate import Sigmas, deviations, unit_sizes
 from grindvision.calibration.joint_terms import (
     GravityLoad,
-    JointCorrections,
     JointTerm,
     bases_of,
     coupling_terms,
@@ -51,7 +50,8 @@ class Finding:
     """A structure in the residuals: its ``kind``, how far it moves points (rms, mm), and a sentence for a person.
 
     ``explained`` is the fraction of the residuals' squares that it explains, ``p_value`` the chance of as much from
-    noise. ``bias`` (K,) is how far it pulls the fit's unknowns; ``waves`` are the joint terms of a wave that was found.
+    noise. ``bias`` (K,) is how far the unknowns lie from where they are without it, ``values`` are the coefficients of
+    its columns, and ``terms`` what these are where ``model_error`` has no unknowns for them.
     """
 
     kind: str
@@ -60,7 +60,8 @@ class Finding:
     p_value: float
     sentence: str
     bias: Floats
-    waves: JointCorrections = field(default_factory=JointCorrections)
+    values: tuple[float, ...] = ()
+    terms: tuple[JointTerm, ...] = ()
 
 
 @by_content
@@ -117,8 +118,10 @@ def structure_in(
         scale = np.maximum(np.linalg.norm(fit.whiten(effect.columns), axis=0), 1e-12)
         size, sentence = effect.describe(values / scale)
         bias = -np.linalg.lstsq(fit.design, block @ values, rcond=1e-10)[0] * units
-        waves = JointCorrections(effect.terms, tuple((values / scale)[: len(effect.terms)].tolist()))
-        found.append(Finding(effect.kind, size, -loss / total, chance * tested, sentence, bias, waves))
+        coefficients = tuple((values / scale).tolist())
+        found.append(
+            Finding(effect.kind, size, -loss / total, chance * tested, sentence, bias, coefficients, effect.terms)
+        )
         basis = np.hstack([basis, sides])
         left = left - sides @ (sides.T @ left)
         freedom -= sides.shape[1]
@@ -251,7 +254,7 @@ def _joint_effects(points: CarriedPoints, load: GravityLoad) -> list[_Effect]:
                 f" {values[0]:.3g} of it ({size:.2g} mm rms): a coupling of the gears that the columns leave out"
             )
 
-        effects.append(_Effect(kind, columns, told))
+        effects.append(_Effect(kind, columns, told, terms if kind == "coupling" else ()))
     return effects
 
 

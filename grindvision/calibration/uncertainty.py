@@ -169,8 +169,13 @@ def predicted_rms_mm(
     variance = np.einsum("mik,kl,mil->m", every, error.covariance[np.ix_(chosen, chosen)], every)
     square = ((every @ np.concatenate([error.bias[keep], error.values])) ** 2).sum(axis=1)
     for finding in findings:
-        if finding.kind in PULLING:
-            square = square + ((design @ finding.bias[keep]) ** 2).sum(axis=1)
-        if finding.waves.terms:
-            square = square + ((columns(finding.waves.terms) @ np.array(finding.waves.values)) ** 2).sum(axis=1)
+        if finding.kind not in PULLING and not finding.terms:
+            continue
+        off = design @ finding.bias[keep]
+        if finding.terms:
+            off = off + columns(finding.terms) @ np.array(finding.values)
+        elif finding.kind == "scanner scale":
+            rotation = (cell.T_tracker_base @ points.frames[:, -1] @ cell.T_joint_scanner)[:, :3, :3]
+            off = off - finding.values[0] * np.einsum("mij,mj->mi", rotation, points.scanner_mm)
+        square = square + (off**2).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0) + square)
