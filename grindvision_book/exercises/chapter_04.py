@@ -55,6 +55,19 @@ def in_scanner(T_base_scanner: Floats, residuals: Floats) -> Floats:
     return np.einsum("mji,mj->mi", T_base_scanner[:, :3, :3], residuals)
 
 
+def predicted_rms(G: Floats, covariance: Floats) -> Floats:
+    """Root of the trace of G covariance G^T, pose by pose."""
+    return np.sqrt(np.einsum("mik,kl,mil->m", G, covariance, G))
+
+
+def _places(rng: np.random.Generator) -> list[tuple[Floats, Floats]]:
+    cases = []
+    for correlation in (0.0, 0.9, -0.9, 0.6):
+        root = np.diag(rng.uniform(0.2, 3, 4)) @ (np.eye(4) + correlation * np.tri(4, k=-1))
+        cases.append((rng.normal(0, 1, (6, 3, 4)) * np.linspace(0.1, 4, 6)[:, None, None], root @ root.T))
+    return cases
+
+
 def _estimates(rng: np.random.Generator) -> list[tuple[Floats, Floats, Floats]]:
     cases = []
     for true_over_stated in (1.0, 1.4, 0.7, 2.0):
@@ -252,5 +265,39 @@ EXERCISES = (
                 lambda rms: rms**2,
             ),
         ),
+    ),
+    Exercise(
+        "04-6",
+        "The error to expect elsewhere",
+        predicted_rms,
+        _places,
+        (
+            Mistake(
+                "root missing",
+                "Your numbers are in mm squared.",
+                lambda G, covariance: predicted_rms(G, covariance) ** 2,
+            ),
+            Mistake(
+                "correlations left out",
+                "What one correction spoils another may mend: the corners of the covariance count too.",
+                lambda G, covariance: predicted_rms(G, np.diag(np.diag(covariance))),
+            ),
+            Mistake(
+                "standard deviations added",
+                "The errors of the corrections do not all push the same way at once.",
+                lambda G, covariance: np.linalg.norm(np.abs(G) @ np.sqrt(np.diag(covariance)), axis=1),
+            ),
+            Mistake(
+                "mean over the axes for their sum",
+                "The length of an error has three squares in it. You took a third of them.",
+                lambda G, covariance: predicted_rms(G, covariance) / np.sqrt(3),
+            ),
+            Mistake(
+                "one error for all poses",
+                "Near the spheres and far from them alike? Each pose has its own G.",
+                lambda G, covariance: np.full(len(G), np.sqrt((predicted_rms(G, covariance) ** 2).mean())),
+            ),
+        ),
+        unit="mm",
     ),
 )
