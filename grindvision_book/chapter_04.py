@@ -196,12 +196,15 @@ class Elsewhere:
         centres = poses[:, :3, 3] + 400.0 * poses[:, :3, 2]
         plan = CalibrationPlan(centres, np.arange(len(q)), q, np.ones(len(q), dtype=bool))
         more = measurements_of(measured(plan, self.robot, aligned_tracker(), rng, every=None))
-        old, columns = self.measurements, ("q_rad", "scanner_mm", "tracker_mm", "train")
-        both = {name: np.concatenate([getattr(old, name), getattr(more, name)]) for name in columns}
-        labels = {
-            name: np.append(getattr(old, name), [f"more {i}" for i in range(len(q))]) for name in ("pose", "sphere")
-        }
-        measurements = Measurements(**both, **labels)
+        old, names = self.measurements, [f"more {i}" for i in range(len(q))]
+        measurements = Measurements(
+            np.vstack([old.q_rad, more.q_rad]),
+            np.vstack([old.scanner_mm, more.scanner_mm]),
+            np.vstack([old.tracker_mm, more.tracker_mm]),
+            np.append(old.pose, names),
+            np.append(old.sphere, names),
+            train=np.append(old.train, more.train),
+        )
         fit = calibrate(measurements, self.robot.nominal, Options(base_fixed=True))
         return replace(self, measurements=measurements, fit=fit)
 

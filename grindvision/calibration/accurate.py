@@ -25,7 +25,8 @@ from grindvision.calibration.estimate import (
 from grindvision.calibration.fitting import Fit, expected_covariance, iterated_fit, linear_step
 from grindvision.calibration.identifiability import Identifiability, analyse
 from grindvision.calibration.input_checks import check_measurements, without_copies
-from grindvision.calibration.joint_terms import uniform_load
+from grindvision.calibration.joint_terms import GravityLoad, uniform_load
+from grindvision.calibration.length_scale import length_scale
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.options import Options
@@ -46,6 +47,7 @@ Flags = NDArray[np.bool_]
 
 #: So many rows that contradict the others get a sentence each; more are told in one.
 MAX_NAMED = 6
+LEFT_OUT = ("left out, it contradicts", "rows were left out, they contradict", "the others")
 
 
 @by_content
@@ -204,33 +206,31 @@ def calibrate(
     if not fit.converged:
         warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
-    warnings += _named(
-        dropped, measurements, "left out, it contradicts", "rows were left out, they contradict", "the others"
-    )
+    warnings += _named(dropped, measurements, *LEFT_OUT)
     if not measurements.train.all():
         warnings += _judge_test_rows(fit, unknowns, training, measurements)
     used = training.rows(fit.kept)
     findings: tuple[Finding, ...] = ()
     beyond = None
     ours = options.variant != "paper"
+    white = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
+    knowledge = analyse(white, unknowns.names, unit_sizes(used, unknowns), options.worst_std)
     load = options.load or uniform_load(arm, options.down)
     error = model_error(fit.cell, arm, unknowns, used, fit.sigmas, load, ours and options.diagnose)
-    if ours:
-        if options.diagnose:
-            looked_at = np.union1d(fitted[fit.kept], np.flatnonzero(~measurements.train))
-            findings = structure_in(fit.cell, unknowns, measurements.rows(looked_at), fit.sigmas, load)
-            warnings += sentences_of(findings)
-        if options.beyond_geometry and unknowns.table:
-            kinds = kinds_of_terms(load, used.q_rad, options.gear_ratios)
-            beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds, options.seed)
-    rows = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
+    if ours and options.diagnose:
+        looked_at = measurements.rows(np.union1d(fitted[fit.kept], np.flatnonzero(~measurements.train)))
+        findings = _findings(fit, arm, unknowns, looked_at, load, knowledge, error)
+        warnings += sentences_of(findings)
+    if ours and options.beyond_geometry and unknowns.table:
+        kinds = kinds_of_terms(load, used.q_rad, options.gear_ratios)
+        beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds, options.seed)
     return Calibration(
         fit.cell,
         coarse,
         unknowns,
         _change(coarse, fit.cell, unknowns),
         honest_covariance(error, findings),
-        analyse(rows, unknowns.names, unit_sizes(used, unknowns), options.worst_std),
+        knowledge,
         fit.sigmas,
         measurements,
         dropped,
@@ -241,6 +241,23 @@ def calibrate(
         error,
         beyond,
     )
+
+
+def _findings(
+    fit: Fit,
+    arm: MdhArm,
+    unknowns: Unknowns,
+    looked_at: Measurements,
+    load: GravityLoad,
+    knowledge: Identifiability,
+    error: ModelError,
+) -> tuple[Finding, ...]:
+    """Structure in the residuals, and a wrong scale of the tracker that the table took up whole."""
+    findings = structure_in(fit.cell, unknowns, looked_at, fit.sigmas, load)
+    if any(finding.kind == "tracker scale" for finding in findings):
+        return findings
+    std = np.sqrt(np.diag(error.covariance)[: len(unknowns)])
+    return findings + length_scale(fit.cell.arm, arm, unknowns, knowledge.known, std)
 
 
 def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Unknowns:

@@ -149,11 +149,12 @@ def _joint_mistakes(measurements: Measurements) -> Iterator[Mistake]:
             _changing("q_rad", partial(np.take, indices=order, axis=1)),
         )
     for joint in range(joints):
-        yield Mistake(
-            f"column q{joint + 1}_rad looks like degrees",
-            UnitError,
-            _changing("q_rad", partial(np.multiply, np.where(numbers == joint, np.pi / 180, 1.0))),
-        )
+        for factor, unit in ((np.pi / 180, "degrees"), (180 / np.pi, "radians that were taken for degrees")):
+            yield Mistake(
+                f"column q{joint + 1} looks like {unit}",
+                UnitError,
+                _changing("q_rad", partial(np.multiply, np.where(numbers == joint, factor, 1.0))),
+            )
     for first in range(joints):
         for last in range(first, joints):
             names = f"column q{first + 1}_rad counts" if first == last else f"columns q{first + 1} to q{last + 1} count"

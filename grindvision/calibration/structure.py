@@ -105,7 +105,8 @@ def structure_in(
     for _ in range(MAX_FINDINGS):
         total = float(left @ left)
         best = _strongest(effects, blocks, basis, left, freedom)
-        wave = strongest_wave(fit, basis, left, freedom, orders)
+        spare = measurements.equations - basis.shape[1]
+        wave = strongest_wave(fit, basis, left, spare, orders)
         if wave is not None and (best is None or (wave.p_value, -wave.gain) < best[:2]):
             effect = _wave_effect(fit, wave)
             best = (wave.p_value, -wave.gain, effect, fit.block(effect.columns), wave.columns)

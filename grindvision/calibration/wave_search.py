@@ -26,6 +26,9 @@ ORDERS = np.arange(1.0, 41.0)
 #: is not strict: at 0.01, 60 poses of a UR10 leave 0.266 mm on 1,000 others, at 0.2 they leave 0.230.
 FALSE_WAVE, MAX_WAVES = 0.2, 12
 
+#: Equations beyond the unknowns from which waves are looked for: among hundreds of candidates, one fits a few.
+MIN_FREEDOM = 20
+
 #: Of a wave's columns, this much must be left beside what the fit's own unknowns can do.
 OWN_FRACTION = 0.05
 
@@ -90,7 +93,7 @@ class Wave:
 def strongest_wave(fit: LinearFit, basis: Floats, left: Floats, freedom: int, orders: Floats) -> Wave | None:
     """Find the wave that explains most of ``left`` (R,) beside ``basis`` (R, B); None: no joint turns."""
     best, gain = None, 0.0
-    if freedom < 8:
+    if freedom < MIN_FREEDOM:
         return None
     arm, q_rad = fit.points.cell.arm, fit.points.q_rad
     for joint in np.flatnonzero(~np.array(arm.prismatic) & (np.ptp(q_rad, axis=0) > 1e-3)):
@@ -130,7 +133,7 @@ def find_waves(
     fit = linear_fit(cell, deviations(cell, nominal, unknowns), unknowns, rows, sigmas)
     tested = len(ORDERS) * rows.q_rad.shape[1]
     basis, left = fit.basis, fit.left
-    freedom = len(left) - len(unknowns)
+    freedom = rows.equations - len(unknowns)
     terms: tuple[JointTerm, ...] = ()
     for _ in range(MAX_WAVES):
         wave = strongest_wave(fit, basis, left, freedom, ORDERS)
