@@ -294,15 +294,29 @@ def test_plates_that_contradict_their_steps_are_named_with_the_size():
         (good, STEPS_MM * 16 / 15, None, r"0\.93\d mm for each mm of the steps"),
         (good, STEPS_MM, FIRST_MM + 10, r"430 lies (10\.\d|9\.\d) mm behind the first plate's points"),
     ):
-        (doubt,) = diagnose_plates(clouds, steps, first)
+        (doubt,) = diagnose_plates(clouds, steps, first).warnings
         assert re.search(said, doubt), doubt
     with pytest.raises(InputError, match="is tilted by"):
         calibrate_field(steadily_tilted(0.8), STEPS_MM)
+
+
+def test_faults_above_what_the_scans_could_hide_are_named_and_those_below_are_not():
+    clouds = plates(waves)
+    unseen = diagnose_plates(clouds, STEPS_MM, FIRST_MM).unseen
+    assert unseen.tilt_deg >= 0.25 and 0 < unseen.step_mm < 1 and 2 <= unseen.distance_mm < 10
+    for part, named in ((0.5, 0), (1.3, 1)):
+        steps = STEPS_MM + [0, 0, part * unseen.step_mm, 0]
+        assert len(diagnose_plates(clouds, steps, FIRST_MM).warnings) == named
+        assert len(diagnose_plates(clouds, STEPS_MM, FIRST_MM + part * unseen.distance_mm).warnings) == named
+        tilted = steadily_tilted(part * unseen.tilt_deg / 3)
+        assert len(diagnose_plates(tilted, STEPS_MM, FIRST_MM).warnings) == named
+    assert "a first distance wrong by up to" in str(unseen)
+    assert diagnose_plates(clouds[:3], STEPS_MM[:3]).unseen.step_mm is None
 
 
 @pytest.mark.parametrize("serial", range(3))
 def test_good_plates_raise_no_doubt(serial):
     camera, rng = cell.DepthCamera(serial=serial + 20), np.random.default_rng(serial)
     for stands in (PLATES_MM, PLATES_MM[:4]):
-        assert diagnose_plates(plate_scans(camera, rng, stands), stands - stands[0], stands[0]) == ()
-    assert diagnose_plates(plates(waves)[:1], [0.0], FIRST_MM) == ()
+        assert diagnose_plates(plate_scans(camera, rng, stands), stands - stands[0], stands[0]).warnings == ()
+    assert diagnose_plates(plates(waves)[:1], [0.0], FIRST_MM).warnings == ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from dataclasses import asdict
 
 from grindvision.cli.parameters import number
 from grindvision.cli.report import Run, add_output_arguments
@@ -18,7 +19,8 @@ in the scanner's frame: origin in the scanner, z forward.
 results in DIR:
   field.npz        the depth error over the volume, for --field-correction of detect and groove
   report.png       did it work? the depth error at the nearest and the farthest plate, plates that took no part
-  report.json      held-out error, volume, timings, versions, parameters; written last
+  report.json      held-out error, volume, how large a tilt, a wrong step or a wrong distance these scans could hide
+                   (could_not_be_seen), timings, versions, parameters; written last
 
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
 
@@ -77,8 +79,8 @@ def run(options: argparse.Namespace) -> int:
             plates = [finite_points(cloud, path) for cloud, path in zip(clouds, options.plates, strict=True)]
         with work.stage("calibrate"):
             field = calibrate_field(plates, options.steps_mm, CalibrateFieldOptions(options.distance_mm))
-            findings = diagnose_plates(plates, options.steps_mm, options.distance_mm)
-        for text in findings:
+            diagnosis = diagnose_plates(plates, options.steps_mm, options.distance_mm)
+        for text in diagnosis.warnings:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         unseen = None
         if len(plates) > 2:
@@ -100,9 +102,10 @@ def run(options: argparse.Namespace) -> int:
             "slopes": {"low": field.low[:2], "high": field.high[:2]},
             "distance_mm": {"low": field.low[2], "high": field.high[2]},
             "plate_normal": field.normal,
+            "could_not_be_seen": asdict(diagnosis.unseen),
         }
-        stays = (
-            "" if options.distance_mm is not None else "one offset of all depths stays, as --distance-mm was not given"
-        )
+        stays = str(diagnosis.unseen)
+        if options.distance_mm is None:
+            stays += "\none offset of all depths stays, as --distance-mm was not given"
         work.report(str(field), results, {"nodes": field.error_grid_mm.shape}, shown=stays)
     return 0

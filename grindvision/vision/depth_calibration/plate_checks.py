@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +35,41 @@ MEAN_MM, MEAN_FRACTION = 0.02, 0.15
 SURE = 5.0
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """How large a fault these scans could hide, each in its unit and in mm of a corrected point.
+
+    ``tilt_deg``: of one plate against another, ``tilt_mm`` at the rim of the view; ``step_mm``: of one step, None where
+    fewer than four plates cannot tell; ``scale``: of all steps; ``distance_mm``: of the first distance, None where it
+    was not given.
+    """
+
+    tilt_deg: float
+    tilt_mm: float
+    step_mm: float | None
+    scale: float
+    distance_mm: float | None
+
+    def __str__(self) -> str:
+        parts = [f"plates tilted by up to {self.tilt_deg:.2g} deg ({self.tilt_mm:.2g} mm at the rim of the view)"]
+        if self.step_mm is not None:
+            parts.append(f"a step wrong by up to {self.step_mm:.2g} mm")
+        if self.distance_mm is not None:
+            parts.append(f"a first distance wrong by up to {self.distance_mm:.2g} mm")
+        return f"these scans could not show {', '.join(parts)}: the correction would hold it"
+
+
+@dataclass(frozen=True)
+class PlateDiagnosis:
+    """What contradicts the scans of a plate, a sentence each, and what they could not show."""
+
+    warnings: tuple[str, ...]
+    unseen: Unseen
+
+
 def diagnose_plates(
     plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None = None
-) -> tuple[str, ...]:
+) -> PlateDiagnosis:
     """Say in words, with sizes, where scans of a plate contradict what ``calibrate_field`` is told of them.
 
     Looked for are plates tilted against each other, one step (or one plate) that the others contradict, steps of a
@@ -45,6 +78,9 @@ def diagnose_plates(
 
     Args:
         plates, steps_mm, distance_mm: as ``calibrate_field`` takes them.
+
+    Returns:
+        The sentences, and how large a tilt, a wrong step and a wrong distance could hide in these scans.
     """
     steps = np.asarray(steps_mm, dtype=float)
     clouds = [without_strays(check_points(cloud, f"points of plate {k + 1}"), k + 1) for k, cloud in enumerate(plates)]
@@ -55,33 +91,48 @@ def diagnose_plates(
     waves = float(np.median([plane.rms_mm for plane in planes]))
     half_mm = float(np.median([np.linalg.norm(np.ptp(cloud[:, :2], axis=0)) / 2 for cloud in clouds]))
     sigma = MEAN_MM + MEAN_FRACTION * waves
-    told = _diagnose_tilts(normals, half_mm, sigma)
+    tilt_limit = max(NAMED_TILT_DEG, float(np.degrees(SURE * np.sqrt(2) * sigma / (0.4 * half_mm))))
+    told = _diagnose_tilts(normals, half_mm, tilt_limit)
     offset, scale, scale_sigma, step_doubts = _line_of_steps(steps, stands, sigma)
     told += step_doubts
-    if abs(scale - 1) > max(NAMED_SCALE, SURE * scale_sigma):
+    scale_limit = max(NAMED_SCALE, SURE * scale_sigma)
+    if abs(scale - 1) > scale_limit:
         told.append(
             f"the points move by {scale:.3f} mm for each mm of the steps ({scale - 1:+.1%}), more than scanners err:"
             " check the steps' size and unit"
         )
+    distance_limit = None
     if distance_mm is not None:
         if abs(scale - 1) > NAMED_SCALE:
             scale, scale_sigma = 1.0, USUAL_SCALE
         constant = offset - scale * float(distance_mm)
-        if abs(constant) > max(NAMED_OFFSET_MM, SURE * scale_sigma * float(distance_mm)):
+        distance_limit = max(NAMED_OFFSET_MM, SURE * scale_sigma * float(distance_mm))
+        if abs(constant) > distance_limit:
             told.append(
                 f"--distance-mm {distance_mm:g} lies {abs(constant):.1f} mm {'before' if constant > 0 else 'behind'}"
                 f" the first plate's points ({offset:.1f} mm), and the steps show no such scale of depth: all corrected"
                 " points would be shifted by that; check where the distance was measured from, or leave it out"
             )
-    return tuple(told)
+    tilt_mm = float(np.radians(tilt_limit)) * half_mm
+    unseen = Unseen(tilt_limit, tilt_mm, _step_limit(steps, sigma), scale_limit, distance_limit)
+    return PlateDiagnosis(tuple(told), unseen)
 
 
-def _diagnose_tilts(normals: Floats, half_mm: float, sigma_mm: float) -> list[str]:
+def _step_limit(steps: Floats, sigma_mm: float) -> float | None:
+    """How wrong the step of any one plate may be without being doubted; its neighbours' line hides the most."""
+    if len(steps) < 4:
+        return None
+    line = np.column_stack([np.ones(len(steps)), steps])
+    free = np.eye(len(steps)) - line @ np.linalg.pinv(line)
+    return SURE * sigma_mm / float(np.sqrt(np.diag(free).min()))
+
+
+def _diagnose_tilts(normals: Floats, half_mm: float, limit_deg: float) -> list[str]:
     """The largest tilt between two plates where it exceeds what waves of the scanner do; their lever is 0.4 of half."""
     angles = np.degrees([[vector_angle(one, other) for other in normals] for one in normals])
     first, last = sorted(int(i) for i in np.unravel_index(int(np.argmax(angles)), angles.shape))
     tilt = float(angles[first, last])
-    if tilt <= max(NAMED_TILT_DEG, float(np.degrees(SURE * np.sqrt(2) * sigma_mm / (0.4 * half_mm)))):
+    if tilt <= limit_deg:
         return []
     return [
         f"plates {first + 1} and {last + 1} are tilted against each other by {tilt:.2f} deg"
