@@ -1,6 +1,7 @@
 """What a calibration says of itself: structure in residuals, errors predicted, units, couplings, sockets, verdicts."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from benchmarks.coverage import coverage
 from grindvision.arm import MdhArm, forward, write_arm
 from grindvision.arm.controllers import common_normal_table, standard_table, ur_deltas_text
 from grindvision.arm.urdf_chain import urdf_chain, write_corrected_urdf
+from grindvision.arm.urdf_masses import link_masses
 from grindvision.calibration import (
     Measurements,
     Options,
@@ -23,7 +25,7 @@ from grindvision.calibration import (
     residuals_of,
     suggest_poses,
 )
-from grindvision.calibration.joint_terms import JointCorrections, JointTerm, sag_terms, uniform_load
+from grindvision.calibration.joint_terms import GravityLoad, JointCorrections, JointTerm, sag_terms, uniform_load
 from grindvision.calibration.model import carry, moved_cell
 from grindvision.calibration.unknowns import Unknowns
 from grindvision.cli import main
@@ -297,3 +299,27 @@ def test_stated_sigmas_hold_where_gears_wave_and_links_sag():
     within, _ = coverage(4, clean=False)
     plain, _ = coverage(4, clean=False, diagnose=False)
     assert 0.5 < within < 0.85 and plain < within
+
+
+def test_masses_of_a_urdf_pull_at_its_joints_as_pinocchio_has_it(rng, tmp_path):
+    pin = pytest.importorskip("pinocchio")
+    text = (data_folder() / "robots" / "ur3" / "ur3.urdf").read_text(encoding="utf-8")
+
+    def with_mass(match):
+        x, y, z = rng.uniform(-0.1, 0.1, 3)
+        inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        own = f'<inertial><origin xyz="{x} {y} {z}"/><mass value="{rng.uniform(1, 5)}"/>{inertia}</inertial>'
+        return f'<link name="{match[1]}">{own}' + ("</link>" if match[2] else "")
+
+    (tmp_path / "r.urdf").write_text(re.sub(r'<link name="([^"]+)"\s*(/)?>', with_mass, text), encoding="utf-8")
+    chain = urdf_chain(tmp_path / "r.urdf")
+    masses, centres = link_masses(tmp_path / "r.urdf", chain)
+    load = GravityLoad(chain.arm, tuple(masses), tuple(map(tuple, centres)))
+    model = pin.buildModelFromUrdf(str(tmp_path / "r.urdf"))
+    q = rng.uniform(-2, 2, (5, 6))
+    true = np.array([pin.computeGeneralizedGravity(model, model.createData(), angles) for angles in q])
+    ours = load.torques(q)
+    np.testing.assert_allclose(
+        ours * (true[:, 1:].ravel() @ ours[:, 1:].ravel()) / (ours[:, 1:] ** 2).sum(), true, atol=1e-6
+    )
+    assert link_masses(data_folder() / "robots" / "ur3" / "ur3.urdf", chain) is None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from grindvision.arm.urdf_chain import UrdfChain
     from grindvision.calibration import Calibration, HeldOut, Measurements, PredictedErrors, Suggestion
+    from grindvision.calibration.joint_terms import GravityLoad
 
 #: Files that an earlier run may have left and a later one may not write.
 OUTDATED = (
@@ -22,6 +23,17 @@ class RobotSource:
 
     path: str
     chain: UrdfChain | None
+
+    def load(self, down: tuple[float, float, float]) -> GravityLoad | None:
+        """The masses of a URDF's links, where it has them; ``down`` is the direction of gravity in its base link."""
+        from grindvision.arm.urdf_masses import link_masses
+        from grindvision.calibration.joint_terms import GravityLoad
+
+        found = None if self.chain is None else link_masses(self.path, self.chain)
+        if self.chain is None or found is None:
+            return None
+        masses, centres = found
+        return GravityLoad(self.chain.arm, tuple(masses.tolist()), tuple(map(tuple, centres.tolist())), down)
 
     def in_table_base(self, measurements: Measurements) -> Measurements:
         """Readings in the frame of the URDF's base link, in that of the table."""
