@@ -313,7 +313,9 @@ def test_masses_of_a_urdf_pull_at_its_joints_as_pinocchio_has_it(rng, tmp_path):
 
     (tmp_path / "r.urdf").write_text(re.sub(r'<link name="([^"]+)"\s*(/)?>', with_mass, text), encoding="utf-8")
     chain = urdf_chain(tmp_path / "r.urdf")
-    masses, centres = link_masses(tmp_path / "r.urdf", chain)
+    found = link_masses(tmp_path / "r.urdf", chain)
+    assert found is not None
+    masses, centres = found
     load = GravityLoad(chain.arm, tuple(masses), tuple(map(tuple, centres)))
     model = pin.buildModelFromUrdf(str(tmp_path / "r.urdf"))
     q = rng.uniform(-2, 2, (5, 6))

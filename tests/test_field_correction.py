@@ -303,6 +303,7 @@ def test_plates_that_contradict_their_steps_are_named_with_the_size():
 def test_faults_above_what_the_scans_could_hide_are_named_and_those_below_are_not():
     clouds = plates(waves)
     unseen = diagnose_plates(clouds, STEPS_MM, FIRST_MM).unseen
+    assert unseen.step_mm is not None and unseen.distance_mm is not None
     assert unseen.tilt_deg >= 0.25 and 0 < unseen.step_mm < 1 and 2 <= unseen.distance_mm < 10
     for part, named in ((0.5, 0), (1.3, 1)):
         steps = STEPS_MM + [0, 0, part * unseen.step_mm, 0]

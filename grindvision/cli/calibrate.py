@@ -40,8 +40,8 @@ ROBOT.csv: joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad, one row per joint up to
   Rx(alpha) Tx(a) Ry(beta) Rz(theta + q) Tz(d)); alpha_deg or a_m are converted by their names; joint and beta may be
   left out. From a standard (distal) DH table: move alpha and a one row down, with 0 in the first row.
   Further columns: type (revolute or prismatic; a track is a prismatic first row), lower_rad, upper_rad, speed_rad_s.
-ROBOT.urdf: the first N joints of the chain, N as in MEASUREMENTS.csv; where it branches, up to --tip-link. Masses of its
-  links say how the joints may sag; without them, links of the same weight a length and a load at the end do.
+ROBOT.urdf: the first N joints of the chain, N as in MEASUREMENTS.csv; where it branches, up to --tip-link. Masses of
+  its links say how the joints may sag; without them, links of the same weight a length and a load at the end do.
 
 results in DIR:
   robot.csv        the corrected modified DH table, with the limits and speeds that the given one has
