@@ -34,8 +34,11 @@ from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
+    from grindvision.cli.weld_job import WeldRuns
     from grindvision.motion.trajectory import Trajectory
     from grindvision.vision.seam.joints import Seam
     from grindvision.vision.seam.seam_path import SeamPath
@@ -54,6 +57,8 @@ results in DIR:
   labels.npy       bool, one per point of CLOUD in its order: does it belong to a seam?
   program.*        with --robot: the motion for the controller, a dry run
   prog_arc.*       with --arc: the same motion as a hot run, which sets the named outputs
+  pass1.*, ...     with --bead-area: a programme for each pass, in the place of program.*; hot: arc1.*, ...
+  tacks.*          with --tacks: the tack welds; hot: tack_arc.*
   report.png       did it work? the groove and the path on the cloud, the path's course
   report.json      kinds of seams with the evidence, sizes, timings, versions, parameters; written last
 
@@ -67,6 +72,8 @@ examples:
   grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
   grindvision groove plate.ply -o weld --robot kr6_r900 --program krl --scanner-pose pose.json --tool torch.json \\
       --travel-angle -10 --arc --arc-output 5
+  grindvision groove plate.ply -o weld --robot gp12 --program jbi --scanner-pose pose.json --weave 4 \\
+      --weave-frequency 2 --bead-area 12 --tacks 5 --run-on 10 --run-off 10
 """
 
 
@@ -164,12 +171,10 @@ def run(options: argparse.Namespace) -> int:
         work.finished("detect")
         with work.stage("torch"):
             trajectories = [_torch(path, options, job) for path in weld.paths]
-        results = _results(weld, labels)
+        results, welding = _results(weld, labels), None
         if job is not None:
             with work.stage("motion"):
-                motion = job.plan(trajectories[0], points)
-                job.write(motion, work.place)
-                results["motion"] = motion_facts(motion)
+                script, welding = _write_programmes(job, weld, trajectories[0], points, work.place, options, results)
         with work.stage("write"):
             for rank, (path, trajectory) in enumerate(zip(weld.paths, trajectories, strict=True), start=1):
                 name = "trajectory.csv" if rank == 1 else f"trajectory_{rank}.csv"
@@ -177,12 +182,35 @@ def run(options: argparse.Namespace) -> int:
             with write_whole(work.place / "labels.npy") as temporary:
                 np.save(temporary, labels)
         with work.stage("picture"):
-            draw(weld, points, work.warnings, work.place / "report.png")
+            draw(weld, points, work.warnings, work.place / "report.png", welding)
         questions = [size_question(("CLOUD",), (cloud,))] + ([where_it_stood(job.T_base_scanner)] if job else [])
         work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, questions=questions)
     if options.send is not None:
-        send_if_agreed(motion, options)
+        send_if_agreed(script, options)
     return 0
+
+
+def _write_programmes(
+    job: RobotJob, weld: Weld, trajectory: Trajectory, points: np.ndarray, place: Path, options: argparse.Namespace,
+    results: dict[str, Any],
+) -> tuple[str, WeldRuns | None]:  # fmt: skip
+    """Plan and write every programme along the first seam; returns the URScript to send and the weld's runs."""
+    from grindvision.cli.weld_job import weld_runs
+
+    if job.wishes is None:
+        motion = job.plan(trajectory, points)
+        name = job.write(motion, place)
+        results["motion"] = motion_facts(motion)
+        return (place / name).read_text(encoding="ascii"), None
+    groove = weld.seams[0].groove if weld.seams else None
+    welding = weld_runs(job.wishes, job.torch_speed_mm_s, weld.path, groove, lambda path: _torch(path, options, job))
+    motions = [job.plan_weld(run.path, points) for run in welding.runs]
+    scripts = [job.write_weld(motion, run, place) for motion, run in zip(motions, welding.runs, strict=True)]
+    results["motion"] = motion_facts(motions[0])
+    results["welding"] = welding.facts()
+    for told, motion in zip(results["welding"]["runs"], motions, strict=True):
+        told["clearance_mm"], told["position_error_mm"] = motion.clearance.min_mm, motion.path.position_error_mm.max()
+    return scripts[0], welding
 
 
 def _torch(path: SeamPath, options: argparse.Namespace, job: RobotJob | None) -> Trajectory:

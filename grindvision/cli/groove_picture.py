@@ -17,6 +17,7 @@ with extra("plot"):
     from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
+    from grindvision.cli.weld_job import WeldRuns
     from grindvision.vision.seam.weld import Weld
 
 GROOVE, PATH, GREY = "#0072B2", "#D55E00", "#bbbbbb"
@@ -24,7 +25,7 @@ MAX_DOTS = 40_000
 LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
-def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path) -> None:
+def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, welding: WeldRuns | None = None) -> None:
     """Draw the verdict, the cloud (N, 3) seen against the path's mean normal, the path's course and a cut."""
     points, labels = points.reshape(-1, 3), weld.labels.ravel()
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))

@@ -3,28 +3,51 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
 from grindvision.cli.parameters import check_count, number, whole
+from grindvision.cli.weld_options import (
+    ARC_OPTIONS,
+    FRAME_OPTIONS,
+    WELD_OPTIONS,
+    FrameNames,
+    WeldWishes,
+    add_arc_arguments,
+    add_weld_arguments,
+    frame_names,
+    hot_run,
+    weld_wishes,
+)
 from grindvision.errors import InputError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.motion import ArcOptions, Motion, Robot, Tool, Trajectory
+    from grindvision.cli.weld_job import WeldRun
+    from grindvision.motion import (
+        ArcOptions,
+        Motion,
+        PlanMotionOptions,
+        Robot,
+        RobotProgramme,
+        RobotProgrammeOptions,
+        Tool,
+        Trajectory,
+        WeldPath,
+    )
 
 
-PROGRAMS = ("csv", "json", "urscript", "rapid", "krl", "ls", "jbi")
+PROGRAMS = ("csv", "json", "urscript", "rapid", "krl", "ls", "jbi", "steps-json", "steps-csv")
 
-#: Names of all files that a programme may have; those of another format are removed.
-PROGRAM_FILES = ("program.csv", "program.json", "program.script", "program.mod", "program.src", "program.dat") + (
-    "program.ls",
-    "program.jbi",
-    *(f"prog_arc.{ending}" for ending in ("script", "mod", "src", "dat", "ls", "jbi")),
+#: Names of all files that a programme may have; those of another format or another weld are removed.
+PROGRAM_FILES = tuple(
+    f"{name}.{ending}"
+    for name in ("program", "prog_arc", "pass[0-9]*", "arc[0-9]*", "tacks", "tack_arc")
+    for ending in ("csv", "json", "script", "mod", "src", "dat", "ls", "jbi")
 )
 
 
@@ -40,41 +63,67 @@ class RobotJob:
     table_top_mm: float
     seed: int
     arc: ArcOptions | None = None
+    frames: FrameNames = field(default_factory=FrameNames)
+    wishes: WeldWishes | None = None
 
     def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
         """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
-        from grindvision.geometry import move_points
-        from grindvision.motion import PlanMotionOptions, plan_motion, scanned
+        from grindvision.motion import plan_motion
 
-        settings = PlanMotionOptions(
-            tool_speed_mm_s=self.torch_speed_mm_s,
-            obstacles=(scanned("work", move_points(self.T_base_scanner, points)),),
-            table_top_mm=self.table_top_mm,
-            seed=self.seed,
-        )
         fine = trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1)
-        return plan_motion(self.robot, fine, settings)
+        return plan_motion(self.robot, fine, self._settings(points))
+
+    def plan_weld(self, path: WeldPath, points: np.ndarray) -> Motion:
+        """Motion along a welding path in the scanner's frame, clear of the same."""
+        from grindvision.motion import plan_motion
+
+        there = path.moved(self.T_base_scanner)
+        return plan_motion(self.robot, there.trajectory, there.plan_options(self._settings(points)))
 
     def write(self, motion: Motion, folder: Path) -> str:
         """Write ``program`` with the format's ending into the folder, ``prog_arc`` where asked; returns the name."""
-        from grindvision.motion import SUFFIXES, write_programme
+        from grindvision.motion import SUFFIXES, robot_programme, write_programme
 
-        runs = [] if self.form in SUFFIXES else [("program", None)]
+        own_form = self.form in SUFFIXES and not self.frames.tool and self.frames.T_base_work is None
+        runs = [] if own_form else [("program", None)]
         runs += [] if self.arc is None else [("prog_arc", self.arc)]
-        texts = [self._texts(motion, name, arc) for name, arc in runs]
+        texts = [self._texts(robot_programme(motion, self._named(name, arc))) for name, arc in runs]
         for name, text in (pair for files in texts for pair in files.items()):
             _write_ascii(folder / name, text)
-        if self.form not in SUFFIXES:
+        if not own_form:
             return next(iter(texts[0]))
         name = "program" + SUFFIXES[self.form]
         write_programme(motion, folder / name, self.form)
         return name
 
-    def _texts(self, motion: Motion, name: str, arc: ArcOptions | None) -> dict[str, str]:
-        from grindvision.motion import RobotProgrammeOptions, programme_files, robot_programme
+    def write_weld(self, motion: Motion, run: WeldRun, folder: Path) -> str:
+        """Write a run's dry programme into the folder, its hot one where asked; returns the dry one's text."""
+        from grindvision.motion import welding_programme
 
-        settings = RobotProgrammeOptions(name, arc=arc, placed=self.form != "urscript")
-        return programme_files(robot_programme(motion, settings), self.form)
+        names = [(run.name, None)] + ([] if self.arc is None else [(run.hot_name, self.arc)])
+        texts = [self._texts(welding_programme(motion, run.path, self._named(name, arc))) for name, arc in names]
+        for name, text in (pair for files in texts for pair in files.items()):
+            _write_ascii(folder / name, text)
+        return next(iter(texts[0].values()))
+
+    def _settings(self, points: np.ndarray) -> PlanMotionOptions:
+        from grindvision.geometry import move_points
+        from grindvision.motion import PlanMotionOptions, scanned
+
+        return PlanMotionOptions(
+            tool_speed_mm_s=self.torch_speed_mm_s,
+            obstacles=(scanned("work", move_points(self.T_base_scanner, points)),),
+            table_top_mm=self.table_top_mm,
+            seed=self.seed,
+        )
+
+    def _named(self, name: str, arc: ArcOptions | None) -> RobotProgrammeOptions:
+        return self.frames.programme_options(name, self.form, arc)
+
+    def _texts(self, programme: RobotProgramme) -> dict[str, str]:
+        from grindvision.motion import programme_files
+
+        return programme_files(programme, self.form)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,24 +157,11 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
         help="the torch: 4x4 matrix T_flange_tcp to the wire's tip, mm, z along the wire (default: straight, 160 mm)",
     )
     group.add_argument("--stick-out", type=number, metavar="MM", help="wire out of the nozzle (default: 15)")
-    group.add_argument(
-        "--arc",
-        action="store_true",
-        default=None,
-        help="write a hot run too, prog_arc.*: it sets the outputs named here",
-    )
-    group.add_argument(
-        "--arc-output", metavar="NAME", help="digital output that strikes the arc, as the controller names it"
-    )
-    group.add_argument(
-        "--arc-setpoint", nargs="+", metavar="NAME=VALUE", help="analogue outputs set before the arc, as 1=22.5"
-    )
-    group.add_argument(
-        "--arc-data", nargs=2, metavar=("SEAM", "WELD"), help="rapid: seam and weld data of ArcL, in place of outputs"
-    )
+    add_arc_arguments(group)
     group.add_argument("--torch-speed", type=number, metavar="MM_S", help="along the seam, mm/s (default: 8)")
     group.add_argument("--seed", type=whole, metavar="N", help="seed of the random start angles (default: 0)")
     group.add_argument("--table-top", type=number, metavar="MM", help="height of the table in the base (default: 0)")
+    add_weld_arguments(parser)
 
 
 def robot_job(options: argparse.Namespace) -> RobotJob | None:
@@ -150,9 +186,9 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         "tool",
         "stick_out",
         "arc",
-        "arc_output",
-        "arc_setpoint",
-        "arc_data",
+        *ARC_OPTIONS,
+        *FRAME_OPTIONS,
+        *WELD_OPTIONS,
     )
     if options.robot is None:
         lonely = [name for name in needs_robot if getattr(options, name, None) is not None]
@@ -165,14 +201,13 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
             "--robot needs --scanner-pose, or --hand-eye with --robot-pose: where the scanner stood in the robot's"
             " base frame"
         )
-    from grindvision.motion import UR_JOINTS, LoadRobotOptions, load_robot
+    from grindvision.motion import LoadRobotOptions, load_robot
 
     form = options.program or "csv"
-    arc = _arc(options, form)
+    arc = hot_run(options, form)
     robot = load_robot(options.robot, LoadRobotOptions(_torch(options), options.flange))
-    _check_language(options.robot, robot, form, arc)
-    if form == "urscript" and robot.joints != UR_JOINTS:
-        raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript; choose csv or json")
+    frames = frame_names(options, form)
+    _check_language(options.robot, robot, form, arc, frames)
     speed = 8.0 if options.torch_speed is None else options.torch_speed
     if not 0 < speed < float("inf"):
         raise InputError(f"--torch-speed is {speed:g} mm/s; give a number above 0")
@@ -181,7 +216,9 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         raise InputError(f"--{'yes' if options.yes else 'anywhere'} is for sending; give --send HOST as well")
     if options.send is not None and form != "urscript":
         raise InputError(f"--send hands URScript over, not {form}; give --program urscript as well")
-    return RobotJob(robot, form, T_base_scanner, speed, options.table_top or 0.0, options.seed or 0, arc)
+    wishes = weld_wishes(options, form, speed)
+    table_top, seed = options.table_top or 0.0, options.seed or 0
+    return RobotJob(robot, form, T_base_scanner, speed, table_top, seed, arc, frames, wishes)
 
 
 def _torch(options: argparse.Namespace) -> Tool:
@@ -193,35 +230,13 @@ def _torch(options: argparse.Namespace) -> Tool:
     return welding_torch(145.0 + wire_mm, wire_mm) if options.tool is None else read_torch(options.tool, wire_mm)
 
 
-def _arc(options: argparse.Namespace, form: str) -> ArcOptions | None:
-    """The hot run that is asked for, or None."""
-    details = ("arc_output", "arc_setpoint", "arc_data")
-    if options.arc is None:
-        lonely = [name for name in details if getattr(options, name, None) is not None]
-        if lonely:
-            raise InputError(f"--{lonely[0].replace('_', '-')} is for a hot run; give --arc as well")
-        return None
-    from grindvision.motion import ArcOptions
-
-    if form in ("csv", "json"):
-        raise InputError(f"--arc needs a language that can set outputs; give --program, not {form}")
-    if options.send is not None:
-        raise InputError("--send hands the dry run over; load a hot run at the controller, without --send")
-    setpoints = [word.partition("=") for word in options.arc_setpoint or []]
-    try:
-        values = tuple((name, float(value)) for name, _, value in setpoints)
-    except ValueError:
-        raise InputError(f"--arc-setpoint {' '.join(options.arc_setpoint)[:60]}: give NAME=VALUE, as 1=22.5") from None
-    return ArcOptions(options.arc_output or "", values, tuple(options.arc_data) if options.arc_data else None)
-
-
-def _check_language(source: str, robot: Robot, form: str, arc: ArcOptions | None) -> None:
+def _check_language(source: str, robot: Robot, form: str, arc: ArcOptions | None, frames: FrameNames) -> None:
     """Refuse a language that the arm does not speak, or names that the language does not take, before any work."""
-    if form in ("csv", "json"):
+    if form in ("csv", "json", "steps-csv", "steps-json"):
         return
     import numpy as np
 
-    from grindvision.motion import RobotProgramme, known_robots, programme_files
+    from grindvision.motion import UR_JOINTS, RobotProgramme, known_robots, programme_files
     from grindvision.motion.placement import check_spherical_wrist
     from grindvision.motion.programme_steps import Output
 
@@ -230,11 +245,26 @@ def _check_language(source: str, robot: Robot, form: str, arc: ArcOptions | None
         raise InputError(f"{known.name} is an arm of {known.maker}; it takes --program {known.language}, not {form}")
     if form != "urscript":
         check_spherical_wrist(robot)
-    if arc is not None:
-        named = [] if arc.data is not None else [(arc.output, True), *arc.setpoints]
-        steps = tuple(Output(name, value) for name, value in named)
-        trial = RobotProgramme("prog_arc", robot.name, robot.joints, np.eye(4), np.eye(4), steps, arc)
-        programme_files(trial, form)
+    elif robot.joints != UR_JOINTS:
+        raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript; choose csv or json")
+    named = [] if arc is None or arc.data is not None else [(arc.output, True), *arc.setpoints]
+    named += [] if arc is None or not arc.gas else [(arc.gas, True)]
+    steps = tuple(Output(name, value) for name, value in named)
+    words = frames.programme_options("prog_arc", form, arc)
+    trial = RobotProgramme(
+        "prog_arc",
+        robot.name,
+        robot.joints,
+        np.eye(4),
+        np.eye(4),
+        steps,
+        arc,
+        words.tool_number,
+        words.work_number,
+        words.kept_tool,
+        words.kept_work,
+    )
+    programme_files(trial, form)
 
 
 def _write_ascii(path: Path, text: str) -> None:
@@ -244,17 +274,16 @@ def _write_ascii(path: Path, text: str) -> None:
         temporary.write_bytes(text.encode("ascii"))
 
 
-def send_if_agreed(motion: Motion, options: argparse.Namespace) -> None:
-    """Say what ``--send`` will do, ask unless ``--yes``, and hand the programme over.
+def send_if_agreed(script: str, options: argparse.Namespace) -> None:
+    """Say what ``--send`` will do with a URScript, ask unless ``--yes``, and hand it over.
 
     Raises:
         InputError: nobody is there to be asked. SendError: the controller cannot be reached or is not a private one.
     """
     import sys
 
-    from grindvision.motion import announcement, send_urscript, urscript
+    from grindvision.motion import announcement, send_urscript
 
-    script = urscript(motion)
     print(announcement(script, options.send))
     if not options.yes:
         if not sys.stdin.isatty():

@@ -24,6 +24,17 @@ _HOMES = {
     "sender": ("UR_PORT", "Delivery", "announcement", "send_urscript"),
     "timing": ("TimeLaw", "time_law"),
     "tool": ("Tool", "grinding_spindle", "read_torch", "welding_torch"),
+    "weave": ("Weave",),
+    "weld_passes": ("GrooveSection", "WeldFill", "WeldPass", "fill_groove", "shifted_seam"),
+    "welding_path": (
+        "WeldPath",
+        "WeldPathOptions",
+        "equal_tacks",
+        "stretches_between",
+        "tacks_at",
+        "weld_path",
+        "welding_programme",
+    ),
     "writers": ("LANGUAGES", "programme_files"),
     "trajectory": (
         "ToolTrajectoryOptions",

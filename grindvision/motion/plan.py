@@ -13,12 +13,15 @@ from grindvision.loose_settings import settings_in
 from grindvision.motion.clearance import Clearance, Obstacle, measure_clearance, table
 from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
 from grindvision.motion.robot import Robot
-from grindvision.motion.timing import TimeLaw, time_law
+from grindvision.motion.timing import TOOL_ACCELERATION, TimeLaw, time_law
 from grindvision.motion.trajectory import Trajectory
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
+
+#: The ways in and out are looked at so often, mm.
+WAY_STEP_MM = 10.0
 
 
 @by_content
@@ -29,6 +32,7 @@ class PlanMotionOptions:
     ``tool_speed_mm_s`` along the seam; ``obstacles`` beside the table, whose top is at z = ``table_top_mm``; the tool
     backs off by ``backed_off_mm`` before and behind the seam; ``least_clearance_mm`` is kept to everything.
     ``spin_free``: the tool may turn about its own axis, as a round one may. ``seed`` of the random start angles.
+    ``tool_acceleration_mm_s2`` along the path, which a weave needs more of.
     """
 
     tool_speed_mm_s: float = 8.0
@@ -38,6 +42,7 @@ class PlanMotionOptions:
     least_clearance_mm: float = 2.0
     spin_free: bool = False
     seed: int | np.random.Generator = 0
+    tool_acceleration_mm_s2: float = TOOL_ACCELERATION
 
     def __post_init__(self) -> None:
         if not self.backed_off_mm > 0:
@@ -52,7 +57,8 @@ class Motion:
     """A checked motion of ``robot`` along ``path.trajectory``.
 
     ``q_approach_rad`` and ``q_retreat_rad`` (n,) hold the tool backed off along its own axis from the first and from
-    the last pose. ``clearance`` covers the approach, every worked pose and the retreat, in this order.
+    the last pose. ``clearance`` covers the way in, every worked pose and the way out, in this order; the ways in and
+    out are looked at every 10 mm and count as one position each.
     """
 
     robot: Robot
@@ -104,7 +110,7 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     rng, spin_free = np.random.default_rng(options.seed), options.spin_free
     table_top_mm, least_clearance_mm = options.table_top_mm, options.least_clearance_mm
     _check_above_table(trajectory, table_top_mm)
-    followed: list[tuple[JointPath, Floats]] = []
+    followed: list[tuple[JointPath, Floats, int]] = []
     complaints: list[UnreachableError] = []
     for start in start_angles(robot, trajectory.T_base_tool[0], rng, spin_free=spin_free):
         try:
@@ -113,16 +119,22 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
         except UnreachableError as error:
             complaints.append(error)
         else:
-            followed.append((path, np.vstack([ends[0], path.q_rad, ends[1]])))
+            followed.append((path, np.vstack([ends[0][::-1], path.q_rad, ends[1]]), len(ends[0])))
     if not followed:
         raise complaints[0]
     the_table = table(table_top_mm)
     followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).min_mm // 10), _travel(one[1])))
     blocked: list[Clearance] = []
-    for path, q in followed:
-        free = measure_clearance(robot, q, [the_table, *options.obstacles])
+    for path, q, way in followed:
+        free = _ways_as_one(measure_clearance(robot, q, [the_table, *options.obstacles]), way)
         if free.min_mm >= least_clearance_mm:
-            return Motion(robot, path, q[0], q[-1], free, time_law(path, robot.limits, options.tool_speed_mm_s))
+            timing = time_law(
+                path,
+                robot.limits,
+                options.tool_speed_mm_s,
+                tool_acceleration_mm_s2=options.tool_acceleration_mm_s2,
+            )
+            return Motion(robot, path, q[0], q[-1], free, timing)
         blocked.append(free)
     tightest = max(blocked, key=lambda one: one.min_mm)
     first, second = tightest.nearest[tightest.tightest]
@@ -139,11 +151,21 @@ def _travel(q_rad: Floats) -> float:
 
 
 def _backed_off(robot: Robot, path: JointPath, row: int, length_mm: float, spin_free: bool) -> Floats:
-    """Joint angles (n,) with the tool pulled back along its axis from one worked pose."""
+    """Joint angles (W, n) with the tool pulled back along its axis from one worked pose, further and further."""
     pose = path.T_base_tool[row]
-    back = pose.copy()
-    back[:3, 3] -= length_mm * pose[:3, 2]
-    return follow_trajectory(robot, Trajectory(np.stack([pose, back])), path.q_rad[row], spin_free=spin_free).q_rad[1]
+    ups = np.linspace(0.0, length_mm, int(np.ceil(length_mm / WAY_STEP_MM)) + 1)
+    back = np.repeat(pose[None], len(ups), axis=0)
+    back[:, :3, 3] -= ups[:, None] * pose[:3, 2]
+    return follow_trajectory(robot, Trajectory(back), path.q_rad[row], spin_free=spin_free).q_rad[1:]
+
+
+def _ways_as_one(free: Clearance, way: int) -> Clearance:
+    """Clearances with the first and the last ``way`` positions each taken as one, the tightest of them."""
+    rows = np.arange(len(free.distance_mm))
+    parts = [rows[:way], *rows[way:-way, None], rows[-way:]]
+    tightest = [int(part[free.distance_mm[part].min(axis=1).argmin()]) for part in parts]
+    distance = np.stack([free.distance_mm[part].min(axis=0) for part in parts])
+    return Clearance(distance, free.against, tuple(free.nearest[row] for row in tightest))
 
 
 def _check_above_table(trajectory: Trajectory, table_top_mm: float) -> None:

@@ -43,7 +43,8 @@ class LinearMove:
     """The tool goes straight to ``T_work_tool`` (4, 4), mm, at ``speed_mm_s``.
 
     It stops there when ``zone_mm`` is 0, else it leaves the line that far before the corner. ``q_rad`` (n,) are the
-    planned joint angles, ``placement`` how the arm stands there, where its maker's language names that.
+    planned joint angles, ``placement`` how the arm stands there, where its maker's language names that. ``on_seam``:
+    it works on its way there, at the process's speed.
     """
 
     T_work_tool: Floats
@@ -51,6 +52,7 @@ class LinearMove:
     speed_mm_s: float
     zone_mm: float = 0.0
     placement: Placement | None = None
+    on_seam: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class ArcOptions:
     ``output`` is the digital output that strikes the arc, ``setpoints`` the analogue outputs (name, value) written
     before it. ``data`` names seam data and weld data of ABB's arc package; then RAPID uses ``ArcLStart``, ``ArcL`` and
     ``ArcLEnd``, and no outputs. The torch waits ``start_s`` after striking and fills the crater for ``crater_s``.
+    ``gas`` is the digital output of the shielding gas: open ``pre_flow_s`` before the arc, ``post_flow_s`` after it.
     """
 
     output: str = ""
@@ -103,6 +106,9 @@ class ArcOptions:
     data: tuple[str, str] | None = None
     start_s: float = 0.5
     crater_s: float = 0.5
+    gas: str = ""
+    pre_flow_s: float = 0.5
+    post_flow_s: float = 1.0
 
     def __post_init__(self) -> None:
         if bool(self.output) == (self.data is not None):
@@ -111,7 +117,10 @@ class ArcOptions:
             )
         if self.data is not None and self.setpoints:
             raise InputError("setpoints belong to an output; seam and weld data hold their own")
-        for name, value in (("start", self.start_s), ("crater", self.crater_s)):
+        if self.gas and (self.data is not None or self.gas == self.output):
+            raise InputError("the gas needs an output of its own beside the arc's; seam data hold it already")
+        times = ("start", self.start_s), ("crater", self.crater_s), ("pre-flow", self.pre_flow_s)
+        for name, value in (*times, ("post-flow", self.post_flow_s)):
             if not 0 <= value <= 60:
                 raise InputError(f"the {name} time of the arc is {value:g} s; give 0 to 60")
         for name, value in self.setpoints:
@@ -125,8 +134,9 @@ class RobotProgramme:
     """A motion along one seam as steps, in the frames in which a controller counts.
 
     ``T_flange_tool``, ``T_base_work`` (4, 4), mm: tool, and work object in the controller's base; poses of the steps
-    stand in the work object. ``tool_number`` and ``work_number`` are where FANUC and Yaskawa keep both. ``hot``: the
-    steps switch the arc on.
+    stand in the work object. ``tool_number`` and ``work_number`` are where FANUC and Yaskawa keep both.
+    ``kept_tool`` and ``kept_work`` call them by what a controller keeps already: names in RAPID, numbers in KRL.
+    ``hot``: the steps switch the arc on.
     """
 
     name: str
@@ -138,6 +148,8 @@ class RobotProgramme:
     arc: ArcOptions | None = None
     tool_number: int = 1
     work_number: int = 1
+    kept_tool: str = ""
+    kept_work: str = ""
 
     @property
     def hot(self) -> bool:
@@ -161,6 +173,8 @@ class RobotProgrammeOptions:
 
     ``T_base_work`` (4, 4), mm: the work object in the controller's base (left out: the base itself). ``arc``: a hot
     run; left out, the run is dry. ``placed``: name the arm's placement at every position, as RAPID, KRL, LS and JBI do.
+    ``kept_tool``, ``kept_work``: names or numbers of frames that the controller keeps, see ``RobotProgramme``; left
+    out, the programme brings its own.
     """
 
     name: str = "program"
@@ -169,6 +183,8 @@ class RobotProgrammeOptions:
     placed: bool = True
     tool_number: int = 1
     work_number: int = 1
+    kept_tool: str = ""
+    kept_work: str = ""
 
     def __post_init__(self) -> None:
         for name, number in (("tool", self.tool_number), ("work object", self.work_number)):
@@ -201,10 +217,10 @@ def robot_programme(motion: Motion, options: RobotProgrammeOptions | None = None
         stands = _one_placement(motion, q)
     blends_mm, arc = blend_radii(path.T_base_tool[:, :3, 3]), motion.trajectory.arc_mm
     seam = [
-        LinearMove(poses[number], q[number + 1], _speed(motion, number), blends_mm[number], stands[number + 1])
+        LinearMove(poses[number], q[number + 1], _speed(motion, number), blends_mm[number], stands[number + 1], True)
         for number in range(1, len(path.q_rad))
     ]
-    before, after = _arc_steps(options.arc)
+    before, after = arc_steps(options.arc)
     steps: list[Step] = [
         Comment(f"{len(path.q_rad)} poses, {arc[-1]:.1f} mm at {timing.asked_speed_mm_s:g} mm/s"),
         Comment("HOT RUN: the arc is switched on" if options.arc else "dry run, no arc"),
@@ -225,6 +241,8 @@ def robot_programme(motion: Motion, options: RobotProgrammeOptions | None = None
         options.arc,
         options.tool_number,
         options.work_number,
+        options.kept_tool,
+        options.kept_work,
     )
 
 
@@ -273,16 +291,19 @@ def _speed(motion: Motion, number: int) -> float:
     return float(timing.tool_speed_mm_s[on_move].max(initial=0.1))
 
 
-def _arc_steps(arc: ArcOptions | None) -> tuple[list[Step], list[Step]]:
+def arc_steps(arc: ArcOptions | None) -> tuple[list[Step], list[Step]]:
+    """What is said where an arc begins, and where it ends: nothing in a dry run."""
     if arc is None:
         return [], []
     if arc.data is not None:
         return [ArcStart()], [ArcEnd()]
     setpoints: list[Step] = [Output(name, float(value)) for name, value in arc.setpoints]
     off: list[Step] = [Output(name, 0.0) for name, _ in arc.setpoints]
+    gas_on: list[Step] = [Output(arc.gas, True), Wait(arc.pre_flow_s)] if arc.gas else []
+    gas_off: list[Step] = [Wait(arc.post_flow_s), Output(arc.gas, False)] if arc.gas else []
     return (
-        [*setpoints, Output(arc.output, True), Wait(arc.start_s)],
-        [Wait(arc.crater_s), Output(arc.output, False), *off],
+        [*setpoints, *gas_on, Output(arc.output, True), Wait(arc.start_s)],
+        [Wait(arc.crater_s), Output(arc.output, False), *off, *gas_off],
     )
 
 

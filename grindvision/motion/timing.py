@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 #: The tool's own acceleration along the seam at start and end, mm/s^2.
 TOOL_ACCELERATION = 100.0
 
+#: Paths of more places than this, as weaves have, get a coarser grid between them.
+MANY_PLACES = 400
+
 #: Fraction of a joint's limits the time law uses; what is kept back covers the path between two points of its grid.
 _USED = 0.99
 
@@ -61,7 +64,14 @@ class TimeLaw:
         )
 
 
-def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, samples: int = 1001) -> TimeLaw:
+def time_law(
+    path: JointPath,
+    limits: JointLimits,
+    tool_speed_mm_s: float,
+    samples: int = 1001,
+    *,
+    tool_acceleration_mm_s2: float = TOOL_ACCELERATION,
+) -> TimeLaw:
     """Time along a joint path: at ``tool_speed_mm_s`` where the joints allow, slower where one would break its limit.
 
     The joints run on a cubic spline over the seam's arc length. The arc length itself rides along as one more joint
@@ -76,9 +86,9 @@ def time_law(path: JointPath, limits: JointLimits, tool_speed_mm_s: float, sampl
         raise InputError(f"samples is {samples}; at least two are needed")
     arc = path.trajectory.arc_mm
     speed = np.append(_USED * limits.speed_rad_s, tool_speed_mm_s)
-    acceleration = np.append(_USED * limits.acceleration_rad_s2, TOOL_ACCELERATION)
+    acceleration = np.append(_USED * limits.acceleration_rad_s2, tool_acceleration_mm_s2)
     # The spline bends most at its knots: the grid has every one of them, and as many points in between as it takes.
-    per_gap = max(20, 400 // len(arc))
+    per_gap = max(20, 400 // len(arc)) if len(arc) <= MANY_PLACES else 6
     solver = TOPPRA(
         [
             JointVelocityConstraint(np.column_stack([-speed, speed])),

@@ -84,13 +84,27 @@ class Trajectory:
         turns = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).magnitude()
         pieces = np.ceil(np.maximum(np.maximum(np.diff(arc) / step_mm, turns / step_rad), 1)).astype(int)
         inner = [np.linspace(arc[i], arc[i + 1], count, endpoint=False) for i, count in enumerate(pieces)]
-        at = np.concatenate([*inner, [] if self.closed else arc[-1:]])
-        fine = np.zeros((len(at), 4, 4))
-        fine[:, :3, :3] = RotationSpline(arc, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
-        bend = "periodic" if self.closed else "not-a-knot"
-        fine[:, :3, 3] = CubicSpline(arc, poses[:, :3, 3], bc_type=bend)(at)
-        fine[:, 3, 3] = 1.0
-        return replace(self, T_base_tool=fine)
+        return replace(self, T_base_tool=self.poses_at(np.concatenate([*inner, [] if self.closed else arc[-1:]])))
+
+    def poses_at(self, arc_mm: ArrayLike) -> Floats:
+        """Poses (M, 4, 4) at lengths (M,) along the trajectory, mm: positions on a cubic spline over the arc length,
+        orientations on a spline of rotations.
+
+        Beyond the ends of an open trajectory the tool goes straight on, turned as at the end; a closed one goes round
+        again.
+        """
+        poses, arc, wanted = self.T_base_tool_worked, self.arc_mm, np.atleast_1d(np.asarray(arc_mm, dtype=float))
+        at = np.mod(wanted, arc[-1]) if self.closed else np.clip(wanted, 0.0, arc[-1])
+        line = CubicSpline(arc, poses[:, :3, 3], bc_type="periodic" if self.closed else "not-a-knot")
+        found = np.zeros((len(at), 4, 4))
+        found[:, :3, :3] = RotationSpline(arc, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+        found[:, :3, 3] = line(at)
+        if not self.closed:
+            ahead = line(at, 1)
+            ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+            found[:, :3, 3] += (wanted - at)[:, None] * ahead
+        found[:, 3, 3] = 1.0
+        return found
 
     def __str__(self) -> str:
         shape = "closed" if self.closed else "open"

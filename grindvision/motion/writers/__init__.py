@@ -10,6 +10,7 @@ from grindvision.motion.writers.jbi import jbi
 from grindvision.motion.writers.krl import krl
 from grindvision.motion.writers.ls import ls
 from grindvision.motion.writers.rapid import rapid
+from grindvision.motion.writers.steps import steps_csv, steps_json
 from grindvision.motion.writers.urscript import urscript_of
 
 #: Language -> (writer, endings of its files in the writer's order, end of a line).
@@ -19,9 +20,11 @@ LANGUAGES: Mapping[str, tuple[Callable[[RobotProgramme], tuple[str, ...]], tuple
     "ls": (ls, (".ls",), "\r\n"),
     "jbi": (jbi, (".jbi",), "\r\n"),
     "urscript": (urscript_of, (".script",), "\n"),
+    "steps-json": (steps_json, (".json",), "\n"),
+    "steps-csv": (steps_csv, (".csv",), "\n"),
 }
 
-__all__ = ["LANGUAGES", "jbi", "krl", "ls", "programme_files", "rapid", "urscript_of"]
+__all__ = ["LANGUAGES", "jbi", "krl", "ls", "programme_files", "rapid", "steps_csv", "steps_json", "urscript_of"]
 
 
 def programme_files(programme: RobotProgramme, language: str) -> dict[str, str]:
@@ -29,7 +32,7 @@ def programme_files(programme: RobotProgramme, language: str) -> dict[str, str]:
 
     Args:
         programme: see ``robot_programme``.
-        language: ``rapid``, ``krl``, ``ls``, ``jbi`` or ``urscript``.
+        language: ``rapid``, ``krl``, ``ls``, ``jbi``, ``urscript``, ``steps-json`` or ``steps-csv``.
 
     Raises:
         InputError: an unknown language, a name or a number that it cannot hold, an arm that it cannot describe.

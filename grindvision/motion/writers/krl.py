@@ -43,8 +43,7 @@ def krl(programme: RobotProgramme) -> tuple[str, str]:
         f"DEF {name}()",
         f"; {plain_text(str(programme), 70)}",
         "BAS(#INITMOV,0)",
-        f"$TOOL={{{_frame(programme.T_flange_tool)}}}",
-        f"$BASE={{{_frame(programme.T_base_work)}}}",
+        *_frames(programme),
         "$IPO_MODE=#BASE",
     ]
     data = [f"DEFDAT {name}"]
@@ -73,6 +72,21 @@ def status_and_turn(placement: Placement) -> tuple[int, int]:
     """``S``: 1 overhead, 2 elbow up, 4 joint 5 below zero. ``T``: bit i - 1 is set where axis i is below zero."""
     status = (not placement.in_front) + 2 * placement.elbow_up + 4 * (not placement.wrist_positive)
     return int(status), sum(1 << joint for joint, angle in enumerate(placement.q_rad) if angle < 0)
+
+
+def _frames(programme: RobotProgramme) -> list[str]:
+    """Tool and base: given by value, or called by the number under which the controller keeps them."""
+    lines = []
+    for word, kept, highest, frame in (
+        ("TOOL", programme.kept_tool, 16, _frame(programme.T_flange_tool)),
+        ("BASE", programme.kept_work, 32, _frame(programme.T_base_work)),
+    ):
+        if kept:
+            number = checked_number(kept, "KRL", highest, "frames")
+            lines += [f"; {word}_DATA[{number}] as this programme was made: {{{frame}}}", f"BAS(#{word},{number})"]
+        else:
+            lines.append(f"${word}={{{frame}}}")
+    return lines
 
 
 def _frame(pose: Floats) -> str:

@@ -48,18 +48,35 @@ def _fit(name: str, before: str) -> str:
     return checked_name(before + name, "RAPID", LONGEST_NAME)
 
 
+def _names(programme: RobotProgramme) -> tuple[str, str]:
+    """Names of tool and work object: the controller's own, or those that the module declares."""
+    kept = (programme.kept_tool, "tTorch"), (programme.kept_work, "wWork")
+    tool, work = (checked_name(name, "RAPID", LONGEST_NAME, "frame") if name else own for name, own in kept)
+    return tool, work
+
+
 def _frames(programme: RobotProgramme) -> list[str]:
-    return [
-        f"  ! {plain_text(str(programme), 70)}",
-        "  ! mass and centre of gravity of the torch: put in what loadidentify measures",
-        f"  PERS tooldata tTorch:=[TRUE,{_pose(programme.T_flange_tool)},[1,[0,0,50],[1,0,0,0],0,0,0]];",
-        f'  PERS wobjdata wWork:=[FALSE,TRUE,"",{_pose(programme.T_base_work)},[[0,0,0],[1,0,0,0]]];',
-    ]
+    tool, work = _names(programme)
+    tool_frame, work_frame = _pose(programme.T_flange_tool), _pose(programme.T_base_work)
+    lines = [f"  ! {plain_text(str(programme), 70)}"]
+    if programme.kept_tool:
+        lines.append(f"  ! tframe of {tool} as this programme was made: {tool_frame}")
+    else:
+        lines += [
+            "  ! mass and centre of gravity of the torch: put in what loadidentify measures",
+            f"  PERS tooldata {tool}:=[TRUE,{tool_frame},[1,[0,0,50],[1,0,0,0],0,0,0]];",
+        ]
+    if programme.kept_work:
+        lines.append(f"  ! uframe of {work} as this programme was made: {work_frame}")
+    else:
+        lines.append(f'  PERS wobjdata {work}:=[FALSE,TRUE,"",{work_frame},[[0,0,0],[1,0,0,0]]];')
+    return lines
 
 
 def _procedure(programme: RobotProgramme) -> list[str]:
     lines = [f"  PROC {programme.name}()"]
     burning = False
+    tool, work = _names(programme)
     arc_data = "" if programme.arc is None or programme.arc.data is None else _arc_data(programme.arc.data)
     for step in programme.steps:
         if isinstance(step, Comment):
@@ -67,22 +84,21 @@ def _procedure(programme: RobotProgramme) -> list[str]:
         elif isinstance(step, JointMove):
             angles = ",".join(plain(float(np.degrees(angle)), 6) for angle in step.q_rad)
             speed = f"[{plain(10 * percent(step), 1)},{plain(5 * percent(step), 1)},5000,1000]"
-            lines.append(f"    MoveAbsJ [[{angles}],{EXTERNAL}]\\NoEOffs,{speed},fine,tTorch\\WObj:=wWork;")
+            lines.append(f"    MoveAbsJ [[{angles}],{EXTERNAL}]\\NoEOffs,{speed},fine,{tool}\\WObj:={work};")
         elif isinstance(step, Output):
             lines.append(_output(step))
         elif isinstance(step, Wait):
             lines.append(f"    WaitTime {plain(step.seconds, 3)};")
         elif isinstance(step, ArcStart):
             burning = True
-            first = next(number for number, line in enumerate(lines) if line.lstrip().startswith("MoveL"))
-            lines[first] = lines[first].replace("MoveL ", "ArcLStart ").replace(",fine,", f",{arc_data},fine,")
+            lines[-1] = lines[-1].replace("MoveL ", "ArcLStart ").replace(",fine,", f",{arc_data},fine,")
         elif isinstance(step, ArcEnd):
             burning = False
             lines[-1] = lines[-1].replace("ArcL ", "ArcLEnd ")
         elif isinstance(step, LinearMove):
             instruction, data = ("ArcL", f",{arc_data}") if burning else ("MoveL", "")
             speed, zone = _speed(step.speed_mm_s), _zone(step.zone_mm)
-            lines.append(f"    {instruction} {_target(step)},{speed}{data},{zone},tTorch\\WObj:=wWork;")
+            lines.append(f"    {instruction} {_target(step)},{speed}{data},{zone},{tool}\\WObj:={work};")
     return [*lines, "  ENDPROC"]
 
 

@@ -39,7 +39,8 @@ def urscript_of(programme: RobotProgramme) -> tuple[str]:
         f"def {checked_name(programme.name, 'URScript', 32)}():",
         f"  set_tcp({_pose(programme.T_flange_tool)})",
     ]
-    straight, last = 0, len(programme.moves) - 1
+    if programme.kept_tool:
+        lines[1] = f"  # TCP {plain_text(programme.kept_tool, 32)} as this was made: {_pose(programme.T_flange_tool)}"
     for step in programme.steps:
         if isinstance(step, Comment):
             lines.append(f"  # {plain_text(step.text, 70)}")
@@ -52,11 +53,10 @@ def urscript_of(programme: RobotProgramme) -> tuple[str]:
             lines.append(f"  sleep({plain(step.seconds, 3)})")
         elif isinstance(step, LinearMove):
             pose, speed = _pose(programme.T_base_work @ step.T_work_tool), plain(step.speed_mm_s / 1000.0, 6)
-            if straight in (0, last):
-                lines.append(f"  movel({pose}, a=0.3, v={speed})")
-            else:
+            if step.on_seam:
                 lines.append(f"  movep({pose}, a=0.1, v={speed}, r={plain(step.zone_mm / 1000.0, 6)})")
-            straight += 1
+            else:
+                lines.append(f"  movel({pose}, a=0.3, v={speed})")
     return ("\n".join([*lines, "end", ""]),)
 
 

@@ -23,14 +23,14 @@ def checked_name(name: str, language: str, longest: int, what: str = "programme"
     return name
 
 
-def checked_number(name: str, language: str, highest: int) -> int:
-    """The number of an output, for controllers that count them.
+def checked_number(name: str, language: str, highest: int, what: str = "outputs") -> int:
+    """The number of an output or a frame, for controllers that count them.
 
     Raises:
         InputError: it is no whole number from 1 to ``highest``.
     """
     if not re.fullmatch(r"[0-9]{1,5}", name, re.ASCII) or not 1 <= int(name) <= highest:
-        raise InputError(f"{language} counts its outputs: give a number from 1 to {highest}, not {name[:40]!r}")
+        raise InputError(f"{language} counts its {what}: give a number from 1 to {highest}, not {name[:40]!r}")
     return int(name)
 
 
