@@ -4,6 +4,8 @@ Each returns the tool in the flange, the work object in the base, and what is sa
 ("pose", T_work_tool, speed mm/s, placement words), ("output", name, value), ("wait", s), ("arc", word).
 """
 
+import csv
+import json
 import math
 import re
 
@@ -59,6 +61,10 @@ def read_rapid(text):
     tool = work = None
     said = []
     for line in lines[1:-2]:
+        if match := re.fullmatch(r"! (t|u)frame of \w+ as this programme was made: (.*)", line):
+            values = numbers(match[2])
+            frame = by_quaternion(values[:3], *values[3:])
+            tool, work = (frame, work) if match[1] == "t" else (tool, frame)
         if line.startswith("!") or line.startswith("PROC ") or line == "ENDPROC":
             continue
         assert line.endswith(";"), line
@@ -66,11 +72,11 @@ def read_rapid(text):
             values = numbers(match[2])[:7]
             frame = by_quaternion(values[:3], *values[3:])
             tool, work = (frame, work) if match[1] == "tooldata" else (tool, frame)
-        elif match := re.fullmatch(r"MoveAbsJ \[\[(.*?)\],.*,fine,tTorch\\WObj:=wWork;", line):
+        elif match := re.fullmatch(r"MoveAbsJ \[\[(.*?)\],.*,fine,\w+\\WObj:=\w+;", line):
             said.append(("joints", numbers(match[1])))
         elif match := re.fullmatch(
             r"(MoveL|ArcLStart|ArcL|ArcLEnd) \[(\[.*?\]),(\[.*?\]),(\[.*?\]),\[9E9.*?\]\],"
-            r"\[(.*?)\],(.*),tTorch\\WObj:=wWork;",
+            r"\[(.*?)\],(.*),\w+\\WObj:=\w+;",
             line,
         ):
             where, speed = by_quaternion(numbers(match[2]), *numbers(match[3])), numbers(match[5])[0]
@@ -103,6 +109,9 @@ def read_krl(source, data):
     tool = work = speed = None
     said = []
     for line in lines[1:-2]:
+        if match := re.fullmatch(r"; (TOOL|BASE)_DATA\[\d+\] as this programme was made: \{(.*)\}", line):
+            tool, work = (kuka_frame(match[2]), work) if match[1] == "TOOL" else (tool, kuka_frame(match[2]))
+            continue
         if line.startswith((";", "BAS(", "$IPO_MODE", "$APO.CDIS")):
             continue
         if match := re.fullmatch(r"\$(TOOL|BASE)=\{(.*)\}", line):
@@ -200,3 +209,68 @@ def read_jbi(text):
             assert match, line
             said.append(("wait", float(match[1])))
     return fixed_axes(*remarks["TOOL"]), fixed_axes(*remarks["USER"]) if "USER" in remarks else np.eye(4), said
+
+
+def by_rotation_vector(x, y, z, rx, ry, rz):
+    """Pose of URScript's literal, metres and a rotation vector, by Rodrigues' formula; mm."""
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    k = np.zeros((3, 3)) if angle < 1e-12 else np.array([[0, -rz, ry], [rz, 0, -rx], [-ry, rx, 0]]) / angle
+    return pose(np.eye(3) + math.sin(angle) * k + (1 - math.cos(angle)) * k @ k, [1000 * x, 1000 * y, 1000 * z])
+
+
+def read_urscript(text):
+    """As the others; poses stand in the base, so the work object is the base."""
+    lines = text.split("\n")
+    assert re.fullmatch(r"def \w+\(\):", lines[0]) and lines[-2:] == ["end", ""]
+    tool, said = None, []
+    literal = r"p\[(.*?)\]"
+    for line in (line.strip() for line in lines[1:-2]):
+        if match := re.fullmatch(rf"(?:set_tcp\({literal}\)|# TCP \w+ as this was made: {literal})", line):
+            tool = by_rotation_vector(*numbers(match[1] or match[2]))
+        elif line.startswith("#"):
+            continue
+        elif match := re.fullmatch(r"movej\(\[(.*)\], a=.*, v=.*\)", line):
+            said.append(("joints", [math.degrees(angle) for angle in numbers(match[1])]))
+        elif match := re.fullmatch(rf"move[lp]\({literal}, a=[\d.]+, v=([\d.]+)(?:, r=[\d.]+)?\)", line):
+            said.append(("pose", by_rotation_vector(*numbers(match[1])), 1000 * float(match[2]), ()))
+        elif match := re.fullmatch(r"set_standard_(digital|analog)_out\((\d+), (.*)\)", line):
+            said.append(("output", match[2], match[3] == "True" if match[1] == "digital" else float(match[3])))
+        else:
+            said.append(("wait", float(groups(r"sleep\((.*)\)", line)[0])))
+    return tool, np.eye(4), said
+
+
+def read_steps_json(text):
+    content = json.loads(text)
+    assert content["units"] == {"length": "mm", "angle": "rad", "time": "s"}
+    said = []
+    for step in content["steps"]:
+        if step["kind"] == "joint move":
+            said.append(("joints", np.degrees(step["q_rad"]).tolist()))
+        elif step["kind"] == "linear move":
+            said.append(("pose", np.array(step["T_work_tool"]), step["speed_mm_s"], ()))
+        elif step["kind"] == "output":
+            said.append(("output", step["output"], step["value"]))
+        elif step["kind"] == "wait":
+            said.append(("wait", step["seconds"]))
+    return np.array(content["T_flange_tool"]), np.array(content["T_base_work"]), said
+
+
+def read_steps_csv(text):
+    frames, said = {}, []
+    lines = text.split("\n")
+    while match := re.fullmatch(r"# (\w+): (.*)", lines[0]):
+        frames[match[1]] = np.vstack([np.array(numbers(match[2])).reshape(3, 4), [0, 0, 0, 1]])
+        lines.pop(0)
+    for row in csv.DictReader(lines):
+        if row["kind"] == "joint move":
+            said.append(("joints", [math.degrees(float(v)) for k, v in row.items() if re.fullmatch(r"J\d_rad", k)]))
+        elif row["kind"] == "linear move":
+            values = [float(row[key]) for key in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")]
+            said.append(("pose", by_quaternion(values[:3], *values[3:]), float(row["speed_mm_s"]), ()))
+        elif row["kind"] == "output":
+            word = row["value"]
+            said.append(("output", row["output"], word == "true" if word in ("true", "false") else float(word)))
+        elif row["kind"] == "wait":
+            said.append(("wait", float(row["seconds"])))
+    return frames["T_flange_tool"], frames["T_base_work"], said

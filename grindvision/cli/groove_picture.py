@@ -18,9 +18,10 @@ with extra("plot"):
 
 if TYPE_CHECKING:
     from grindvision.cli.weld_job import WeldRuns
+    from grindvision.motion import WeldFill
     from grindvision.vision.seam.weld import Weld
 
-GROOVE, PATH, GREY = "#0072B2", "#D55E00", "#bbbbbb"
+GROOVE, PATH, GREY, WELD, TACK = "#0072B2", "#D55E00", "#bbbbbb", "#000000", "#E69F00"
 MAX_DOTS = 40_000
 LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
@@ -38,7 +39,8 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     along = np.linalg.svd(flat, full_matrices=False)[2][0]
     axes_across = np.stack([along, np.cross(up, along)], axis=1)
     figure = Figure(figsize=(11, 10), layout="constrained")
-    panels = figure.subplot_mosaic([["view", "view"], ["course", "cut"]], height_ratios=(3, 1))
+    lower = ["course", "cut"] if welding is None else ["course", "torch", "cut"]
+    panels = figure.subplot_mosaic([["view"] * len(lower), lower], height_ratios=(3, 1))
     view, course = panels["view"], panels["course"]
     for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "seam")):
         seen = (points[kept][chosen] - middle) @ axes_across
@@ -48,6 +50,8 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
         way = (seam.points - middle) @ axes_across
         view.plot(*way.T, ".-", ms=4, lw=1, color=PATH, label=f"path {number}" if len(weld.paths) > 1 else "path")
         view.annotate("start", way[0], textcoords="offset points", xytext=(4, 6), bbox=LABEL)
+    if welding is not None:
+        _draw_welds(view, panels["torch"], welding, middle, axes_across)
     view.set(aspect="equal", xlabel="along the seam, mm", ylabel="across, mm")
     view.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     heights = (weld.path.points - middle) @ up
@@ -55,6 +59,8 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     course.plot(lengths, heights, ".-", color=PATH)
     course.set(xlabel="way along the path, mm", ylabel="height of the path, mm")
     _draw_cut(panels["cut"], weld, points[finite], labels[finite])
+    if welding is not None and welding.fill is not None:
+        _draw_fill(panels["cut"], welding.fill)
     draw_verdict(figure, *_verdict(weld), warnings)
     with write_whole(path) as temporary:
         figure.savefig(temporary, dpi=100)
@@ -82,6 +88,50 @@ def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) ->
         axes.plot(*places[chosen].T, ".", ms=3, color=colour)
     axes.plot(0, 0, "o", ms=7, color=PATH, mec="black")
     axes.set(xlim=(-reach, reach), xlabel="across the path's middle, mm", ylabel="height over the path, mm")
+
+
+def _draw_welds(view: Axes, detail: Axes, welding: WeldRuns, middle: np.ndarray, axes_across: np.ndarray) -> None:
+    """The tip's way in every weld on the cloud, tacks on top; the first run's way from nearby, seen along the torch."""
+    for run in welding.runs:
+        tacks = run.name == "tacks"
+        places = (run.path.trajectory.positions_mm - middle) @ axes_across
+        for weld in range(1, run.path.count + 1):
+            way = places[run.path.welds == weld]
+            view.plot(*way.T, lw=4 if tacks else 0.7, color=TACK if tacks else WELD, solid_capstyle="round")
+    view.plot([], [], color=WELD, label="wire's tip")
+    if welding.runs[-1].name == "tacks":
+        view.plot([], [], lw=4, color=TACK, label="tack")
+    run = welding.runs[0]
+    first = np.flatnonzero(run.path.welds == 1)
+    poses, arc = run.path.trajectory.T_base_tool[first], run.path.seam_mm[first]
+    at = len(first) // 2
+    reach_mm = 10.0 if run.path.weave is None else 2.5 * run.path.weave.length_mm
+    near = np.abs(arc - arc[at]) <= reach_mm
+    flat = (poses[near, :3, 3] - poses[at, :3, 3]) @ poses[at, :3, :2]
+    if run.path.weave is not None:  # from the seam, not from where the swing stands there
+        flat[:, 1] += run.path.weave.offsets_mm(arc[at] - arc[0])
+    detail.plot(*flat.T, ".-", ms=4, lw=1, color=WELD)
+    weave = "no weave" if run.path.weave is None else f"{run.path.weave.shape} weave"
+    detail.set(xlabel=f"along the middle of {run.name}, mm", ylabel="wire's tip to the right, mm")
+    detail.set_title(f"{weave}, {run.path.speed_mm_s:.3g} mm/s along the seam", fontsize="medium")
+    detail.set_ylim(min(flat[:, 1].min(), -2.0) - 0.5, max(flat[:, 1].max(), 2.0) + 0.5)
+    detail.invert_yaxis()
+
+
+def _draw_fill(axes: Axes, fill: WeldFill) -> None:
+    """Layers of the fill and the tip's places, numbered in the order they are welded."""
+    section = fill.section
+    for top in fill.layer_tops_mm:
+        left, right = section.walls_mm(top)
+        axes.plot([left, -right], [top, top], lw=1, color=WELD)
+    for one in fill.passes:
+        axes.plot(-one.right_mm, one.up_mm, "v", ms=9, color=WELD, mec="white")
+        axes.annotate(
+            str(one.number), (-one.right_mm, one.up_mm), textcoords="offset points", xytext=(0, 7), ha="center"
+        )
+    axes.set_title(
+        f"{len(fill.passes)} passes of {fill.passes[0].area_mm2:.3g} mm\N{SUPERSCRIPT TWO}", fontsize="medium"
+    )
 
 
 def _verdict(weld: Weld) -> tuple[str, str]:

@@ -85,32 +85,37 @@ def time_law(
     if samples < 2:
         raise InputError(f"samples is {samples}; at least two are needed")
     arc = path.trajectory.arc_mm
-    speed = np.append(_USED * limits.speed_rad_s, tool_speed_mm_s)
-    acceleration = np.append(_USED * limits.acceleration_rad_s2, tool_acceleration_mm_s2)
     # The spline bends most at its knots: the grid has every one of them, and as many points in between as it takes.
     per_gap = max(20, 400 // len(arc)) if len(arc) <= MANY_PLACES else 6
-    solver = TOPPRA(
-        [
-            JointVelocityConstraint(np.column_stack([-speed, speed])),
-            JointAccelerationConstraint(np.column_stack([-acceleration, acceleration])),
-        ],
-        toppra.SplineInterpolator(arc, np.column_stack([path.q_rad, arc])),
-        gridpoints=np.interp(np.linspace(0, len(arc) - 1, per_gap * (len(arc) - 1) + 1), np.arange(len(arc)), arc),
-        parametrizer="ParametrizeConstAccel",
-    )
-    run = solver.compute_trajectory(0, 0)
+    grid = np.interp(np.linspace(0, len(arc) - 1, per_gap * (len(arc) - 1) + 1), np.arange(len(arc)), arc)
+    for unit_mm in (1.0, 100.0):  # far from the joints' numbers in size, an arc length in mm can defeat the solver
+        speed = np.append(_USED * limits.speed_rad_s, tool_speed_mm_s / unit_mm)
+        acceleration = np.append(_USED * limits.acceleration_rad_s2, tool_acceleration_mm_s2 / unit_mm)
+        solver = TOPPRA(
+            [
+                JointVelocityConstraint(np.column_stack([-speed, speed])),
+                JointAccelerationConstraint(np.column_stack([-acceleration, acceleration])),
+            ],
+            toppra.SplineInterpolator(arc / unit_mm, np.column_stack([path.q_rad, arc / unit_mm])),
+            gridpoints=grid / unit_mm,
+            parametrizer="ParametrizeConstAccel",
+        )
+        run = solver.compute_trajectory(0, 0)
+        if run is not None:
+            break
     if run is None:
         raise DegenerateError("no time law keeps the joints' limits along this path; check the limits of acceleration")
     time = np.linspace(0.0, run.duration, samples)
     place, velocity, rate = run(time), run(time, 1), run(time, 2)
-    arrival = np.interp(arc, place[:, -1], time)
+    along_mm = unit_mm * place[:, -1]
+    arrival = np.interp(arc, along_mm, time)
     return TimeLaw(
         time,
         place[:, :-1],
         velocity[:, :-1],
         rate[:, :-1],
-        place[:, -1],
-        velocity[:, -1],
+        along_mm,
+        unit_mm * velocity[:, -1],
         arrival,
         float(tool_speed_mm_s),
     )
