@@ -21,6 +21,8 @@ from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 from tests.groove_scenes import cloud, grid, straight_groove, vee
 from tests.hand_eye_scene import TARGET, looking_poses, seen_points, sphere_view
+from tests.test_hand_eye import folder_of_parts
+from tests.test_merge import folder_of
 
 PAGE = Path(grindvision_book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
@@ -442,6 +444,101 @@ def an_arc_without_an_output(folder):
     write_ply(folder / "plate.ply", np.eye(3))
     pose = pose_file(folder, ABOVE)
     return ["groove", folder / "plate.ply", "--scanner-pose", pose, "--robot", "gp7", "--program", "jbi", "--arc"]
+
+
+def dry_groove(folder: Path, arm: str, program: str, *more: object) -> list[object]:
+    """Words of ``groove`` that are refused before the cloud is read."""
+    write_ply(folder / "plate.ply", np.eye(3))
+    words = ["groove", folder / "plate.ply", "--scanner-pose", pose_file(folder, ABOVE), "--robot", arm]
+    return [*words, "--program", program, *more]
+
+
+@mistake("A swing too fast to stand beside")
+def a_wild_weave(folder):
+    return dry_groove(folder, "gp12", "jbi", "--weave", "12", "--weave-frequency", "9")
+
+
+@mistake("The format cannot say where the arc burns")
+def tacks_in_a_table_of_poses(folder):
+    return dry_groove(folder, "gp12", "csv", "--tacks", "5")
+
+
+@mistake("A work object without its place")
+def a_named_work_object(folder):
+    return dry_groove(folder, "irb1200_5_90", "rapid", "--work-object", "wTable")
+
+
+@mistake("The joints cannot follow the weave")
+def a_weave_beyond_the_joints(folder):
+    words = ["--program", "urscript", "--weave", "10", "--weave-frequency", "5"]
+    return [*welded(folder, ABOVE), *words]
+
+
+@mistake("A tack away from the seam")
+def a_tack_elsewhere(folder):
+    (folder / "tacks.csv").write_text("x_mm,y_mm,z_mm\n0,30,400\n")
+    return [*welded(folder, ABOVE), "--program", "urscript", "--tacks", folder / "tacks.csv"]
+
+
+@mistake("The part leaves a motion free")
+def a_flat_part(folder):
+    return ["hand-eye", *folder_of_parts(folder, flat=True)]
+
+
+@mistake("One cloud for two poses")
+def a_cloud_copied(folder):
+    words = folder_of_parts(folder)
+    first = folder / "v0.ply"
+    for view_file in words[1:-6]:
+        Path(view_file).write_bytes(first.read_bytes())
+    return ["hand-eye", *words]
+
+
+@mistake("A pose for each view")
+def a_view_too_few(folder):
+    words = folder_of(folder)
+    return ["merge", *words[:4], *words[5:]]
+
+
+@mistake("The arm's calibration in place of the camera's")
+def the_other_hand_eye_file(folder):
+    (folder / "other.json").write_text('{"T_joint_scanner": 1}')
+    return ["merge", *folder_of(folder)[:-1], folder / "other.json"]
+
+
+@mistake("The views meet nowhere")
+def views_in_other_places(folder):
+    words = folder_of(folder)
+    rows = np.loadtxt(words[0])
+    rows[:, 0] += 1000.0 * np.arange(len(rows))
+    np.savetxt(words[0], rows, fmt="%.9f")
+    return ["merge", *words]
+
+
+def ground(folder: Path, sample: np.ndarray, test: np.ndarray, *more: object) -> list[object]:
+    """Words of ``grind`` for two clouds."""
+    return ["grind", *two(folder, sample, test, *more)[1:]]
+
+
+@mistake("Metal is missing, not left over")
+def a_pit_to_grind(folder):
+    return ground(folder, beaded().test, beaded().sample)
+
+
+@mistake("A step finer than the scanner sees")
+def a_step_below_the_noise(folder):
+    return ground(folder, beaded().sample, beaded().test, "--depth", "0.01")
+
+
+@mistake("The keep-out zone closes the stock in")
+def all_is_kept_out(folder):
+    return ground(folder, beaded().sample, beaded().test, "--keep-out", folder / "test.ply")
+
+
+@mistake("No job in that folder")
+def no_job_there(folder):
+    write_ply(folder / "test.ply", beaded().test)
+    return ["grind", "--again", folder / "nowhere", folder / "test.ply"]
 
 
 @mistake("The folder cannot be written")
