@@ -1,5 +1,6 @@
 """What the four tools share: parameters from a file, a report that says all, JSON for machines, a bar for people."""
 
+import argparse
 import fcntl
 import hashlib
 import json
@@ -10,7 +11,6 @@ import subprocess
 import sys
 import termios
 import time
-import types
 
 import numpy as np
 import pandas as pd
@@ -174,18 +174,16 @@ def test_without_a_terminal_there_is_no_bar(monkeypatch, capsys):
 
 
 def test_an_arm_from_a_table_carries_the_torch(tmp_path, capsys):
-    from grindvision.cli.robot_job import robot_job
+    from grindvision.cli.robot_job import add_robot_arguments, robot_job
 
     numbers = er3a().first(2).table.tolist()
     lines = [f"J{i},{','.join(map(repr, row))},-170,170,3" for i, row in enumerate(numbers, 1)]
     head = "joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad,lower_deg,upper_deg,speed_rad_s\n"
     (tmp_path / "arm.csv").write_text(head + "\n".join(lines))
     (tmp_path / "pose.json").write_text(json.dumps(np.eye(4).tolist()))
-    options = types.SimpleNamespace(
-        robot=str(tmp_path / "arm.csv"), scanner_pose=str(tmp_path / "pose.json"), flange=None, program=None,
-        torch_speed=None, table_top=None, seed=0, send=None, yes=False, anywhere=False,
-        tool=None, stick_out=None, arc=None, arc_output=None, arc_setpoint=None, arc_data=None,
-    )  # fmt: skip
+    parser = argparse.ArgumentParser()
+    add_robot_arguments(parser)
+    options = parser.parse_args(["--robot", str(tmp_path / "arm.csv"), "--scanner-pose", str(tmp_path / "pose.json")])
     robot = robot_job(options).robot
     assert robot.joints == ("J1", "J2") and robot.name == "arm"
     assert robot.limits.upper_rad == pytest.approx(np.radians([170, 170]))

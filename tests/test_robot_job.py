@@ -115,21 +115,27 @@ def test_sending_is_asked_for_and_never_by_chance(pose):
         robot_job(options("--send", "10.0.0.2"))
 
 
-def test_the_table_that_calibrate_writes_is_a_robot_to_weld_with(pose, tmp_path):
+def calibrated_cell(folder):
+    """A UR3 whose table was measured with a tracker and corrected by ``calibrate``: the corrected table's file."""
     table = [[0, 0, 151.9, 0, 0], [np.pi / 2, 0, 0, 0, 0], [0, -243.65, 0, 0, 0], [0, -213.25, 112.35, 0, 0]]
     table += [[np.pi / 2, 0, 85.35, 0, 0], [-np.pi / 2, 0, 81.9, 0, 0]]
     nominal = MdhArm(table, tuple(f"J{i}" for i in range(1, 7)), limits=np.tile([-2 * np.pi, 2 * np.pi, 3.14], (6, 1)))
     made = rig(nominal, np.random.default_rng(0), rows=60, on_tool=True, off_mm=0.3, off_rad=3e-4)
     rows = np.hstack([made.measurements.q_rad, made.measurements.tracker_mm])
     names = [*(f"q{i}_rad" for i in range(1, 7)), "bx_mm", "by_mm", "bz_mm"]
-    np.savetxt(tmp_path / "m.csv", rows, delimiter=",", header=",".join(names), comments="")
-    write_arm(nominal, tmp_path / "r.csv")
-    words = ["--robot", str(tmp_path / "r.csv"), "-o", str(tmp_path / "cell"), "--beyond-geometry", "off"]
-    assert main(["calibrate", str(tmp_path / "m.csv"), *words]) == 0
+    np.savetxt(folder / "m.csv", rows, delimiter=",", header=",".join(names), comments="")
+    write_arm(nominal, folder / "r.csv")
+    words = ["--robot", str(folder / "r.csv"), "-o", str(folder / "cell"), "--beyond-geometry", "off"]
+    assert main(["calibrate", str(folder / "m.csv"), *words]) == 0
+    return folder / "cell" / "robot.csv"
+
+
+def test_the_table_that_calibrate_writes_is_a_robot_to_weld_with(pose, tmp_path):
+    arm_file = calibrated_cell(tmp_path)
     positions, normals = seam(points=15)
     T_scanner_base = inverse(T_BASE_SCANNER)
     trajectory = tool_trajectory(move_points(T_scanner_base, positions), rotate_vectors(T_scanner_base, normals))
-    job = robot_job(options("--robot", str(tmp_path / "cell" / "robot.csv"), "--scanner-pose", pose))
+    job = robot_job(options("--robot", str(arm_file), "--scanner-pose", pose))
     work = np.random.default_rng(0).uniform([250, -90, 20], [370, 90, 45], (3000, 3))
     assert job.write(job.plan(trajectory, move_points(T_scanner_base, work)), tmp_path / "out") == "program.csv"
 

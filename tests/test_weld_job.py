@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 
-from grindvision.arm import MdhArm, write_arm
 from grindvision.cell import weld_scene
 from grindvision.cli import main
 from grindvision.cli.robot_job import robot_job
@@ -17,9 +16,8 @@ from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
 from grindvision.motion import tool_trajectory
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.seam_path import SeamPath
-from tests.calibration_rig import rig
 from tests.programme_readers import read_ls, read_rapid, read_steps_json
-from tests.test_robot_job import T_BASE_SCANNER, options
+from tests.test_robot_job import T_BASE_SCANNER, calibrated_cell, options
 
 
 @pytest.fixture
@@ -208,21 +206,6 @@ def test_the_controllers_frames_reach_the_programme(pose, tmp_path):
     assert job.wishes is None
     assert job.write(job.plan(torch(path_of(groove)), low), tmp_path / "plain") == "program.mod"
     assert "tGun\\WObj:=wWork" in (tmp_path / "plain" / "program.mod").read_text()
-
-
-def calibrated_cell(folder):
-    """A UR3 whose table was measured with a tracker and corrected by ``calibrate``: the corrected table's file."""
-    table = [[0, 0, 151.9, 0, 0], [np.pi / 2, 0, 0, 0, 0], [0, -243.65, 0, 0, 0], [0, -213.25, 112.35, 0, 0]]
-    table += [[np.pi / 2, 0, 85.35, 0, 0], [-np.pi / 2, 0, 81.9, 0, 0]]
-    nominal = MdhArm(table, tuple(f"J{i}" for i in range(1, 7)), limits=np.tile([-2 * np.pi, 2 * np.pi, 3.14], (6, 1)))
-    made = rig(nominal, np.random.default_rng(0), rows=60, on_tool=True, off_mm=0.3, off_rad=3e-4)
-    rows = np.hstack([made.measurements.q_rad, made.measurements.tracker_mm])
-    names = [*(f"q{i}_rad" for i in range(1, 7)), "bx_mm", "by_mm", "bz_mm"]
-    np.savetxt(folder / "m.csv", rows, delimiter=",", header=",".join(names), comments="")
-    write_arm(nominal, folder / "r.csv")
-    words = ["--robot", str(folder / "r.csv"), "-o", str(folder / "cell"), "--beyond-geometry", "off"]
-    assert main(["calibrate", str(folder / "m.csv"), *words]) == 0
-    return folder / "cell" / "robot.csv"
 
 
 def test_from_calibration_to_a_woven_weld_with_the_calibrated_arm(tmp_path, capsys):

@@ -39,8 +39,10 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     along = np.linalg.svd(flat, full_matrices=False)[2][0]
     axes_across = np.stack([along, np.cross(up, along)], axis=1)
     figure = Figure(figsize=(11, 10), layout="constrained")
-    lower = ["course", "cut"] if welding is None else ["course", "torch", "cut"]
-    panels = figure.subplot_mosaic([["view"] * len(lower), lower], height_ratios=(3, 1))
+    if welding is None:
+        panels = figure.subplot_mosaic([["view", "view"], ["course", "cut"]], height_ratios=(3, 1))
+    else:
+        panels = figure.subplot_mosaic([["view"] * 3, ["course", "torch", "cut"]], height_ratios=(3, 1))
     view, course = panels["view"], panels["course"]
     for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "seam")):
         seen = (points[kept][chosen] - middle) @ axes_across

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from grindvision.cli.parameters import number
-from grindvision.errors import InputError, UnitError
+from grindvision.errors import FileError, InputError, UnitError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
@@ -263,7 +263,10 @@ def frame_names(options: argparse.Namespace, form: str) -> FrameNames:
     from grindvision.geometry import check_rigid
 
     content = read_json(options.work_frame)
-    content = content.get("T_base_work") if isinstance(content, dict) else content
+    if isinstance(content, dict):
+        if "T_base_work" not in content:
+            raise FileError(f"{options.work_frame}: no key T_base_work; found {', '.join(list(content)[:8])[:80]}")
+        content = content["T_base_work"]
     frame = check_rigid(content, f"{options.work_frame}: T_base_work", tolerance=1e-3)
     if 0 < np.linalg.norm(frame[:3, 3]) < 5.0:
         raise UnitError(
