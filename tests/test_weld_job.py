@@ -39,9 +39,9 @@ def groove_of(width_mm=12.0, depth_mm=6.0, slope=0.0, stations=40, offset_mm=0.0
     root = np.column_stack([x * 0 + 110.0, x, x * 0 + 440.0])
     up = np.tile([0.0, 0.0, -1.0], (stations, 1))
     wide = width_mm + slope * (x + 40.0)
-    edges = [root + np.outer(side * wide / 2 + offset_mm, [1.0, 0, 0]) + depth_mm * up for side in (-1, 1)]
+    left, right = (root + np.outer(side * wide / 2 + offset_mm, [1.0, 0, 0]) + depth_mm * up for side in (-1, 1))
     flat = np.full(stations, 0.05)
-    return DetectedGroove(np.arange(10), root, *edges, up, wide, np.full(stations, depth_mm), flat, 2.0, 1.0)
+    return DetectedGroove(np.arange(10), root, left, right, up, wide, np.full(stations, depth_mm), flat, 2.0, 1.0)
 
 
 def path_of(groove, waypoints=12):
