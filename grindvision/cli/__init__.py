@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import importlib
 import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NoReturn
 
 from grindvision import __version__
+from grindvision.cli import pictures
 from grindvision.cli.parameters import with_parameter_file
 from grindvision.cli.streams import complain, sound_streams
 from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped
@@ -43,13 +46,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(
             "OPENBLAS_NUM_THREADS", "1"
         )  # this process is ours: no threads that one_blas_thread rests
+        pictures.own_process = True
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
     with sound_streams():
         code, interrupted = _judged(name, words)
-    if interrupted and arguments is None:
-        os._exit(code)  # a tidy end meets threads in compiled code, and aborts now and then
+    if arguments is None and (interrupted or pictures.own_process):
+        _end(code)
     return code
+
+
+def _end(code: int) -> NoReturn:
+    """End the process. Taking down what compiled code has loaded is left to the system: it takes a third of a second,
+    and after an interruption it meets threads in that code, and aborts now and then."""
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 def _judged(name: str, words: list[str]) -> tuple[int, bool]:

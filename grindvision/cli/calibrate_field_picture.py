@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grindvision.cli.pictures import save_png
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
-from grindvision.files import write_whole
 
 with extra("plot"):
     from matplotlib.figure import Figure
@@ -43,5 +43,4 @@ def draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Seque
         if unseen[1] >= unseen[0]:
             verdict = "Calibration did not help"
     draw_verdict(figure, verdict, facts, told)
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    save_png(figure, path, dpi=110)

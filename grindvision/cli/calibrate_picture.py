@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grindvision.cli.pictures import save_png
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
-from grindvision.files import write_whole
 
 with extra("plot"):
     from matplotlib.figure import Figure
@@ -42,8 +42,7 @@ def draw(result: Calibration, unseen: HeldOut, predicted: PredictedErrors, warni
     if unseen.beyond is not None and result.beyond is not None:
         facts += f" With {result.beyond.kind}: {unseen.beyond.mean:.3f} mm."
     draw_verdict(figure, verdict, facts, warnings)
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+    save_png(figure, path, dpi=110)
 
 
 def _draw_errors(axes: Axes, unseen: HeldOut) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grindvision.cli.pictures import save_png
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
-from grindvision.files import write_whole
 
 with extra("plot"):
     from matplotlib.axes import Axes
@@ -64,8 +64,7 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     if welding is not None and welding.fill is not None:
         _draw_fill(panels["cut"], welding.fill)
     draw_verdict(figure, *_verdict(weld), warnings)
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=100)
+    save_png(figure, path)
 
 
 def _draw_cut(axes: Axes, weld: Weld, points: np.ndarray, labels: np.ndarray) -> None:

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from grindvision.caches import matplotlib_has_a_folder
 from grindvision.errors import GrindvisionWarning, MissingExtraError
+from grindvision.extras import extra
+from grindvision.files import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Whether this process was started for one command.
+own_process = False
 
 
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
     try:
-        with matplotlib_has_a_folder():
+        with matplotlib_has_a_folder(), _without_docstrings():
             return import_module(f"grindvision.cli.{module}").draw
     except MissingExtraError as error:
         missing = str(error)
@@ -22,3 +33,29 @@ def drawing(module: str) -> Callable[..., None]:
         warnings.warn(f"report.png is left out: {missing}", GrindvisionWarning, stacklevel=2)
 
     return no_picture
+
+
+@contextmanager
+def _without_docstrings() -> Iterator[None]:
+    """Inside the block Matplotlib is imported without the lists of properties in its docstrings, half of that time, in
+    a process that runs a command and nothing else; elsewhere somebody may want to read them."""
+    if not own_process:
+        yield
+        return
+    with extra("plot"):
+        from matplotlib import artist
+    written = artist.kwdoc
+    artist.kwdoc = lambda _: ""
+    try:
+        yield
+    finally:
+        artist.kwdoc = written
+
+
+def save_png(figure: Figure, path: Path, dpi: int = 100) -> None:
+    """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure.set_dpi(dpi)
+    with write_whole(path) as temporary:
+        FigureCanvasAgg(figure).print_png(temporary, pil_kwargs={"compress_level": 4})

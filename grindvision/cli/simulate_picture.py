@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grindvision.cli.pictures import save_png
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
-from grindvision.files import write_whole
 
 with extra("plot"):
     from matplotlib.axes import Axes
@@ -40,8 +40,7 @@ def draw(made: Any, subject: str, seed: int, path: Path) -> None:
     }
     facts = draw_subject[subject](axes, made)
     draw_verdict(figure, f"Simulated: {subject}, seed {seed}. Synthetic, nothing here was measured", facts, ())
-    with write_whole(path) as temporary:
-        figure.savefig(temporary, dpi=100)
+    save_png(figure, path)
 
 
 def _draw_grinding(axes: np.ndarray, scene: GrindingScene) -> str:

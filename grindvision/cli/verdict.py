@@ -13,12 +13,13 @@ with extra("plot"):
 
 GOOD, LOOK = "#D8EFE3", "#FCE8B8"
 WIDTH = 118
+TITLE_INCHES = 0.4
 
 
 def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[str], max_warnings: int = 4) -> None:
     """Write a figure's title: the verdict, the facts, the warnings; green without warnings, yellow with them.
 
-    The figure's layout must be ``constrained``; it keeps the room free.
+    The figure's layout keeps the room free: a ``constrained`` one, or, where it has none, the top of its axes.
     """
     lines = [facts]
     for text in warnings[:max_warnings]:
@@ -27,7 +28,10 @@ def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[st
         lines.append(f"and {len(warnings) - max_warnings} more in report.json")
     height = 0.42 + 0.19 * len(lines)
     fraction = height / figure.get_figheight()
-    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - fraction))
+    if figure.get_layout_engine() is None:
+        figure.subplots_adjust(top=1 - fraction - TITLE_INCHES / figure.get_figheight())
+    else:
+        figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - fraction))
     band = figure.add_axes((0, 1 - fraction, 1, fraction), zorder=-1)
     band.set_in_layout(False)
     band.set_facecolor(LOOK if warnings else GOOD)

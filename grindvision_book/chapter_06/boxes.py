@@ -78,4 +78,7 @@ def misses(printed: tuple[Floats, Floats], points: Floats, normals: Floats, curv
 
 
 def _between(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
-    return np.asarray(((points > low) & (points < high)).all(axis=1))
+    inside = np.ones(len(points), dtype=bool)
+    for column, least, most in zip(points.T, low, high, strict=True):
+        inside &= (column > least) & (column < most)
+    return inside

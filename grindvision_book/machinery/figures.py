@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import re
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -41,17 +42,32 @@ def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> Non
     import matplotlib.pyplot as plt
 
     _check(name, data, caption)
-    folder, chapter = figures_folder(), current_chapter()
-    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
-    with write_whole(svg) as path:
-        about = {"Title": name, "Description": caption, "Source": f"chapter {chapter}"}
-        fig.savefig(path, dpi=LAYER_DPI, metadata={**about, "Date": None, "Creator": None})
-    with write_whole(png) as path:
-        fig.savefig(path, metadata={"Title": name, "Description": caption, "Software": None})
+    folder = figures_folder()
+    svg = folder / f"{name}.svg"
+    _draw(fig, svg, folder / f"{name}.png", {"Title": name, "Description": caption})
     write_text(folder / f"{name}.csv", csv_text(data))
     plt.close(fig)
     if shell := _notebook():
         shell.display(shell.SVG(filename=str(svg)), shell.Markdown(f"*{caption}*"))
+
+
+def _draw(fig: Figure, svg: Path, png: Path, about: dict[str, str]) -> None:
+    """Write a figure in both formats, laid out once and drawn once in each: ``savefig`` does either twice."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    if engine := fig.get_layout_engine():
+        engine.execute(fig)
+        fig.set_layout_engine("none")
+    screen_dpi = fig.dpi
+    fig.set_dpi(LAYER_DPI)
+    with write_whole(svg) as path:
+        source = f"chapter {current_chapter()}"
+        FigureCanvasSVG(fig).print_svg(path, metadata={**about, "Source": source, "Date": None, "Creator": None})
+    fig.set_dpi(screen_dpi if mpl.rcParams["savefig.dpi"] == "figure" else mpl.rcParams["savefig.dpi"])
+    with write_whole(png) as path:
+        FigureCanvasAgg(fig).print_png(path, metadata={**about, "Software": None})
 
 
 def save_scene(plotter: pyvista.Plotter, name: str, data: pd.DataFrame, caption: str) -> None:

@@ -7,8 +7,12 @@ import platform
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
@@ -64,20 +68,49 @@ def start(chapter: str) -> None:
 
     import matplotlib.pyplot as plt
     import pandas as pd
-    import pyvista
+
+    plt.style.use(Path(__file__).with_name("book.mplstyle"))
+    pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
+    if pyvista := sys.modules.get("pyvista"):
+        _look_of_scenes(pyvista)
+    elif not any(isinstance(finder, _ScenesToCome) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _ScenesToCome())
+    _session.chapter = chapter
+    _session.answers.clear()
+    (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)
+
+
+class _ScenesToCome(MetaPathFinder):
+    """Gives PyVista the look of the book once a chapter imports it; most draw no 3D scene, and it takes its time."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """Where PyVista is, and after its import its settings; None for any other module."""
+        if name != "pyvista":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(name)
+        if spec is None or spec.loader is None:
+            return None
+        execute = spec.loader.exec_module
+
+        def execute_and_set(module: ModuleType) -> None:
+            execute(module)
+            _look_of_scenes(module)
+
+        spec.loader.exec_module = execute_and_set  # type: ignore[method-assign]
+        return spec
+
+
+def _look_of_scenes(pyvista: Any) -> None:
+    """Static views on white, and no chatter of VTK's."""
     from vtkmodules.vtkCommonCore import vtkLogger
 
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    plt.style.use(Path(__file__).with_name("book.mplstyle"))
-    pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
     pyvista.set_jupyter_backend("static")
     pyvista.global_theme.background = "white"
     pyvista.global_theme.font.color = "black"
     pyvista.global_theme.window_size = [1200, 800]
     pyvista.global_theme.anti_aliasing = "ssaa"
-    _session.chapter = chapter
-    _session.answers.clear()
-    (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)
 
 
 def fast() -> bool:

@@ -76,6 +76,6 @@ def _face(points: Floats, threshold_mm: float, rng: np.random.Generator) -> Plan
         off = np.abs(plane.distance(used))
         kept = off <= max(CLIP * 1.4826 * np.median(off), 1e-9)
         if kept.all() or kept.sum() < 6:
-            break
+            return plane
         used = used[kept]
     return fit_plane(used)
