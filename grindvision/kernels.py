@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, _Cache
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from grindvision.caches import PACKAGE, cache_folders, is_ours, made
@@ -87,8 +88,12 @@ class KernelCache(_Cache):
         self._drop(keep="")
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """What is kept for these argument types, or None; what is damaged counts as not kept."""
-        target.refresh()
+        """What is kept for these argument types, or None; what is damaged counts as not kept.
+
+        Machine code needs numba's memory management and no more: what else ``target.refresh()`` would load, a third of
+        what the first kernel of a process takes, serves compilation, which loads it itself.
+        """
+        rtsys.initialize(target)
         if not self._enabled:
             return None
         name = self._entry(signature, target.codegen())
@@ -155,10 +160,15 @@ def sources_of(file: Path, package: Path = PACKAGE) -> list[Path]:
         source = waiting.pop()
         if source not in found and source.is_file():
             found.add(source)
-            for module in _IMPORT.findall(_content(source)):
-                place = package.joinpath(*module.decode().split("."))
-                waiting += [place.with_suffix(".py"), place / "__init__.py"]
+            waiting += _imported_by(source, package)
     return sorted(found)
+
+
+@functools.cache
+def _imported_by(source: Path, package: Path) -> list[Path]:
+    """Files of the package that a file imports from: of a name, the module and the folder, be they there or not."""
+    places = [package.joinpath(*module.decode().split(".")) for module in _IMPORT.findall(_content(source))]
+    return [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
 
 
 @functools.cache

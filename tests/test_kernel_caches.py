@@ -96,6 +96,29 @@ def test_after_compile_no_tool_compiles(tmp_path):
     assert run.returncode == 0, run.stderr
 
 
+LOAD_ALL = """
+import pickle, sys
+from numba.core.registry import cpu_target
+from numba.core.runtime.nrt import rtsys
+from grindvision.kernels import KernelCache, folder
+rtsys.initialize(cpu_target.target_context)
+one = KernelCache(folder)
+entries = sorted(folder().glob("*.kernel"))
+for entry in entries:
+    assert one._numba.rebuild(cpu_target.target_context, pickle.loads(entry.read_bytes()[16:])).entry_point
+assert "numba.typed.typeddict" not in sys.modules
+print(len(entries))
+"""
+
+
+def test_kept_machine_code_needs_nothing_that_only_compilation_loads():
+    # a symbol that is missing ends the process
+    run = subprocess.run([sys.executable, "-c", LOAD_ALL], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    if not int(run.stdout):
+        pytest.skip("no kernel has been compiled here")
+
+
 def test_another_cache_folder_may_be_asked_for(package, tmp_path):
     assert _twice(package, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == (2, 2)
     assert len(list((tmp_path / "mine").rglob("*.kernel"))) == 2

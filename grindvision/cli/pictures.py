@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.caches import matplotlib_has_a_folder
 from grindvision.errors import GrindvisionWarning, MissingExtraError
@@ -45,7 +45,7 @@ def _without_docstrings() -> Iterator[None]:
     with extra("plot"):
         from matplotlib import artist
     written = artist.kwdoc
-    artist.kwdoc = lambda _: ""
+    artist.kwdoc = lambda artist: ""
     try:
         yield
     finally:
@@ -56,6 +56,7 @@ def save_png(figure: Figure, path: Path, dpi: int = 100) -> None:
     """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    canvas: Any = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
     with write_whole(path) as temporary:
-        FigureCanvasAgg(figure).print_png(temporary, pil_kwargs={"compress_level": 4})
+        canvas.print_png(temporary, pil_kwargs={"compress_level": 4})

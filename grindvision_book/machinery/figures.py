@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
 from grindvision.files import write_text, write_whole
@@ -61,13 +61,15 @@ def _draw(fig: Figure, svg: Path, png: Path, about: dict[str, str]) -> None:
         engine.execute(fig)
         fig.set_layout_engine("none")
     screen_dpi = fig.dpi
+    canvas: Any = FigureCanvasSVG(fig)
     fig.set_dpi(LAYER_DPI)
     with write_whole(svg) as path:
         source = f"chapter {current_chapter()}"
-        FigureCanvasSVG(fig).print_svg(path, metadata={**about, "Source": source, "Date": None, "Creator": None})
+        canvas.print_svg(path, metadata={**about, "Source": source, "Date": None, "Creator": None})
     fig.set_dpi(screen_dpi if mpl.rcParams["savefig.dpi"] == "figure" else mpl.rcParams["savefig.dpi"])
+    canvas = FigureCanvasAgg(fig)
     with write_whole(png) as path:
-        FigureCanvasAgg(fig).print_png(path, metadata={**about, "Software": None})
+        canvas.print_png(path, metadata={**about, "Software": None})
 
 
 def save_scene(plotter: pyvista.Plotter, name: str, data: pd.DataFrame, caption: str) -> None:
