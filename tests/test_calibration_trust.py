@@ -325,3 +325,29 @@ def test_masses_of_a_urdf_pull_at_its_joints_as_pinocchio_has_it(rng, tmp_path):
         ours * (true[:, 1:].ravel() @ ours[:, 1:].ravel()) / (ours[:, 1:] ** 2).sum(), true, atol=1e-6
     )
     assert link_masses(data_folder() / "robots" / "ur3" / "ur3.urdf", chain) is None
+
+
+def test_tables_of_other_arms_and_scales_of_the_tracker_are_named_with_their_size(rng):
+    made = rig(ur5(), rng, rows=60, on_tool=True, noise_mm=0.02, off_mm=0.3)
+    scaled = replace(made.measurements, tracker_mm=1.005 * made.measurements.tracker_mm)
+    (found,) = calibrate(scaled, ur5()).findings
+    assert found.kind == "tracker scale" and re.search(r"0\.[45]\d% too long", found.sentence)
+    other = ur5().table.copy()
+    other[3, 2] += 24.0
+    told = calibrate(made.measurements, ur5().with_table(other)).warnings
+    assert any("d2_mm + d3_mm + d4_mm moved by 2" in sentence for sentence in told)
+    radians = made.measurements.q_rad * np.where(np.arange(6) == 3, np.pi / 180, 1.0)
+    with pytest.raises(UnitError, match="q4 looks like radians"):
+        calibrate(replace(made.measurements, q_rad=radians), ur5())
+
+
+def test_where_the_first_of_several_reflectors_sits_is_no_error_elsewhere(rng):
+    made = rig(ur5(), rng, rows=90, on_tool=True, noise_mm=0.02)
+    q = made.measurements.q_rad.repeat(3, axis=0)
+    places = np.tile([[0.0, 0, 0], [120, 0, 10], [-30, 110, -20]], (90, 1))
+    tracker = made.cell.points_tracker(q, places) + 0.02 * rng.normal(size=places.shape)
+    rows = Measurements(
+        q, np.zeros_like(places), tracker, pose=np.repeat(np.arange(90), 3).astype(str), reflectors=("a", "b", "c"),
+        reflector=np.tile([0, 1, 2], 90),
+    )  # fmt: skip
+    assert predict_errors(calibrate(rows, ur5()), rng, count=200).mean_mm < 0.15

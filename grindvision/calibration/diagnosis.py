@@ -23,6 +23,10 @@ SUSPICIOUS_MM = 1.5
 #: No sound machine deviates more than this from its drawing.
 FAR_MM, FAR_RAD = 15.0, 0.05
 
+#: Axes whose angle has a smaller sine are parallel; entries that moved so many times further than machines deviate
+#: belong to another arm.
+PARALLEL, OTHER_TABLE = 0.02, 2.5
+
 #: A table whose lengths moved by more than this fraction of the arm's reach describes another arm.
 OTHER_ARM = 0.25
 
@@ -92,8 +96,9 @@ def check_fit(
     if typical > max(10.0, 0.01 * reach):
         raise InputError(
             f"no arm of this structure fits: {typical:.1f} mm are left in the median; check the robot table"
-            " (modified, not standard DH), the joints' directions and zeros, which joint carries the scanner, and"
-            " whether the arm stands on a track or a turntable that the table leaves out"
+            " (modified, not standard DH), the joints' directions and zeros, which joint carries the scanner, whether"
+            " the arm stands on a track or a turntable that the table leaves out, and that every row pairs a pose with"
+            " its own point"
         )
     return [
         *moved,
@@ -180,11 +185,22 @@ def _score(lengths: Floats) -> float:
 
 
 def far_from_nominal(arm: MdhArm, nominal: MdhArm) -> list[str]:
-    """Warn of table entries that no machine tolerance explains; the fit may be right, the nominal table is not."""
-    change = np.abs(arm.table - nominal.table)
-    sizes = np.where([name.endswith("_mm") for name in PARAMETERS], change / FAR_MM, change / FAR_RAD).ravel()
+    """Warn of table entries that no machine tolerance explains; the fit may be right, the nominal table is not.
+
+    Offsets along axes that are parallel act as their sum, so that this is judged too.
+    """
+    change = arm.table - nominal.table
+    sizes = np.where([name.endswith("_mm") for name in PARAMETERS], np.abs(change) / FAR_MM, np.abs(change) / FAR_RAD)
     worst = int(np.argmax(sizes))
-    if sizes[worst] < 1:
+    name, moved, size = entry_name(worst), abs(float(change.ravel()[worst])), float(sizes.ravel()[worst])
+    runs = np.split(np.arange(arm.n), np.flatnonzero(np.abs(np.sin(nominal.table[1:, 0])) > PARALLEL) + 1)
+    for run in runs:
+        total = abs(float(change[run, 2].sum()))
+        if len(run) > 1 and total / FAR_MM > size:
+            name, moved, size = " + ".join(entry_name(5 * int(joint) + 2) for joint in run), total, total / FAR_MM
+    if size < 1:
         return []
-    changed = f"{change.ravel()[worst]:.4g}"
-    return [f"{entry_name(worst)} moved by {changed} from the robot table, more than machines deviate: check the table"]
+    advice = "more than machines deviate: check the table"
+    if size > OTHER_TABLE:
+        advice = "this is another arm's table, by the look of it: give the right one, with its limits and speeds"
+    return [f"{name} moved by {moved:.4g} from the robot table, {advice}"]

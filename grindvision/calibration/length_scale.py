@@ -12,8 +12,9 @@ from grindvision.calibration.unknowns import Unknowns, entry_name
 
 Floats = NDArray[np.float64]
 
-#: Chance of a factor as far from 1 where lengths deviate at random, and the smallest that is told.
-FALSE_ALARM, MIN_SCALE = 1e-3, 5e-4
+#: Chance of a factor as far from 1 where lengths deviate at random, and the smallest that is told; beyond the largest,
+#: it is another unit or another arm.
+FALSE_ALARM, MIN_SCALE, MAX_SCALE = 1e-3, 5e-4, 0.05
 
 #: Lengths that are needed, and how exact (mm) each must be known.
 MIN_LENGTHS, KNOWN_MM = 4, 1.0
@@ -45,7 +46,7 @@ def length_scale(
     left = float(((changes - scale * lengths)[chosen] ** 2).sum())
     ratio = abs(scale) / max(np.sqrt(left / (count - 1) / square), 1e-12)
     chance = 2 * float(student.sf(ratio, count - 1))
-    if chance > FALSE_ALARM or abs(scale) < MIN_SCALE:
+    if chance > FALSE_ALARM or not MIN_SCALE < abs(scale) < MAX_SCALE:
         return ()
     rows = np.flatnonzero(long)[np.argsort(-np.abs(lengths[long]))][:3]
     told = ", ".join(f"{entry_name(int(entries[row]))} {changes[row]:+.2f}" for row in rows)

@@ -152,7 +152,8 @@ def suggest_poses(
     point = np.median(measurements.scanner_mm, axis=0)
 
     def designs(q: Floats) -> Floats:
-        return carry(calibration.cell, q, np.broadcast_to(point, (len(q), 3))).design(unknowns)
+        first = np.zeros(len(q), dtype=np.int64) if unknowns.reflectors else None
+        return carry(calibration.cell, q, np.broadcast_to(point, (len(q), 3)), None, first).design(unknowns)
 
     targets = designs(predicted.q_rad)
     flat = targets.reshape(-1, len(unknowns))

@@ -153,12 +153,14 @@ def predicted_rms_mm(
 ) -> Floats:
     """Root mean square error (P,) in mm predicted at joint angles (P, n) for points (P, 3) of the scanner's frame.
 
+    Of several reflectors on the tool, the first is taken.
     The systematic part: what calibration leaves of the arm's and the scanner's errors, with the waves that were found
     and what drifts, jumps and wrong scales pull the unknowns by; without the noise of measuring.
     """
-    points = carry(cell, q_rad, points_scanner)
-    keep = ~(unknowns.in_fixtures | unknowns.in_reflectors)
-    design = points.design(replace(unknowns, fixtures=(), reflectors=()))
+    first = np.zeros(len(np.asarray(q_rad)), dtype=np.int64) if unknowns.reflectors else None
+    points = carry(cell, q_rad, points_scanner, None, first)
+    keep = ~unknowns.in_fixtures
+    design = points.design(replace(unknowns, fixtures=()))
     jacobian = points.jacobian()
 
     def columns(terms: tuple[JointTerm, ...]) -> Floats:
