@@ -7,7 +7,7 @@ from benchmarks.racing import Racer
 
 def ours(name: str, task: str, about: str, kind: str = "ours", **settings: object) -> Racer:
     """One of our own racers."""
-    room = {"groove": "welding", "calibrate": "calibration"}.get(task, "grinding")
+    room = {"groove": "welding", "calibrate": "calibration", "hand_eye": "calibration"}.get(task, "grinding")
     return Racer(name, f"ours_{room}:{task}", kind, settings, about)
 
 

@@ -31,6 +31,8 @@ def goals(folder: Path) -> pd.DataFrame:
         hard = _row(tables["coarse"], "hard", "grindvision")
         rows.append(("first alignment, hard set: failures", "at most", 0, hard["failures"]))
         rows.append(("first alignment, hard set: median time (s)", "at most", 1.0, hard["median_s"]))
+    if "hand_eye" in tables:
+        rows += _hand_eye(tables["hand_eye"])
     if "groove" in tables:
         rows += _grooves(tables["groove"])
     table = pd.DataFrame(rows, columns=["goal", "asked", "limit", "measured"])
@@ -86,6 +88,16 @@ def _grooves(table: pd.DataFrame) -> list[tuple[str, str, float, float]]:
         ahead = ours["overlap_percent"] - best
         rows.append((f"groove, {piece}: overlap less PCL's best (%)", "at least", 0, ahead))
     return rows
+
+
+def _hand_eye(table: pd.DataFrame) -> list[tuple[str, str, float, float]]:
+    own, peers = (table[table["kind"] == kind] for kind in ("ours", "peer"))
+    if peers.empty:
+        return []
+    return [
+        (f"hand-eye: median {error} over the best peer's", "at most", 1.0, own[error].iloc[0] / peers[error].min())
+        for error in ("shift_mm", "rotation_deg")
+    ]
 
 
 def _row(table: pd.DataFrame, case: str, racer: str) -> pd.Series:

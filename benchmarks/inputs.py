@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 import pandas as pd
 
+from benchmarks.hand_eye_race import simulated_sequences
 from benchmarks.racing import Arrays, Case
 from grindvision import cell, paper
 from grindvision.cell import StructuredLightScanner
@@ -104,6 +105,20 @@ def groove_cases(kind: str, count: int, seed: int, pixels: float = 1.0) -> list[
 def calibration_cases(poses: str, count: int, seed: int) -> list[Case]:
     """``count`` calibration experiments with so many poses to calibrate with and 60 held out."""
     return [_calibration(f"calibration-{poses}-{seed}-{number}", poses, [seed, 7, number]) for number in range(count)]
+
+
+def hand_eye_cases(sequences: int, seed: int) -> list[Case]:
+    """One case of so many sequences of poses from which a camera on an arm sees a board."""
+    name = f"hand-eye-{sequences}-{seed}"
+    given = _input_file(f"{name}.npz")
+    if not _truth_file(name).is_file():
+        shown, known = simulated_sequences(np.random.default_rng([seed, 8]), sequences)
+        with write_whole(given) as path:
+            np.savez(path, allow_pickle=False, **shown)
+        _write_truth(name, known)
+    with np.load(given) as arrays:
+        poses = int(arrays["lengths"].sum())
+    return [Case(f"{sequences} sequences", poses, {"sequences": str(given)}, partial(truth, name))]
 
 
 def process_cases(count: int) -> list[Case]:

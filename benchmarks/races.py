@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from benchmarks import inputs, judging
 from benchmarks.entries import open3d, ours, pcl, process, small_gicp
+from benchmarks.hand_eye_race import judge_hand_eye
 from benchmarks.racing import Case, Judge, Racer
 from grindvision.cell import KINDS
 
@@ -20,7 +21,7 @@ class Plan:
 
     ``rounds`` per case, ``scenes`` on which whole detections are judged, ``poses`` of the first alignment, ``sizes`` of
     the scans for the whole and ``stage_sizes`` for single stages, ``pieces`` to weld, ``arm_poses`` to calibrate with,
-    ``seed``.
+    ``sequences`` of hand-eye poses, ``seed``.
     """
 
     rounds: int = 5
@@ -30,17 +31,20 @@ class Plan:
     stage_sizes: tuple[str, ...] = ("500k", "2M")
     pieces: tuple[str, ...] = KINDS
     arm_poses: tuple[str, ...] = tuple(inputs.SPHERES)
+    sequences: int = 200
     seed: int = 10
 
     @property
     def complete(self) -> bool:
         """Whether nothing is left out, so that the results may stand in ``figures/``."""
         full = Plan()
-        least = all(getattr(self, name) >= getattr(full, name) for name in ("rounds", "scenes", "poses"))
+        least = all(getattr(self, name) >= getattr(full, name) for name in ("rounds", "scenes", "poses", "sequences"))
         return least and (self.sizes, self.pieces) == (full.sizes, full.pieces)
 
 
-QUICK = Plan(rounds=1, scenes=2, poses=2, sizes=("50k",), stage_sizes=("50k",), pieces=("box",), arm_poses=("54",))
+QUICK = Plan(
+    rounds=1, scenes=2, poses=2, sizes=("50k",), stage_sizes=("50k",), pieces=("box",), arm_poses=("54",), sequences=20,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,37 @@ CALIBRATION = Race(
     ("error_mean_mm",),
 )  # fmt: skip
 
+HAND_EYE = Race(
+    "hand_eye",
+    "Where a camera sits on an arm, from the same poses of arm and board",
+    (
+        ours("grindvision", "hand_eye", "calibration.hand_eye at its defaults: covariance, poses left out in turn"),
+        *(
+            Racer(
+                f"OpenCV, {method.capitalize()}", "hand_eye_peers:opencv", settings={"method": method}, needs="cv2",
+                about=f"cv2.calibrateHandEye, CALIB_HAND_EYE_{method}",
+            )
+            for method in ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+        ),
+        *(
+            Racer(
+                f"kinhec, {method}" + ", refined" * refined, "hand_eye_peers:kinhec", needs="kinhec",
+                settings={"method": method, "refined": refined}, warm_up=not refined,
+                about=f"solvers.{method}{equation}" + (", then its least squares" if refined else ""),
+            )
+            for method, equation, refined in (
+                ("park_martin", " on all pairs of poses", False), ("daniilidis", " on all pairs of poses", False),
+                ("shah", "", False), ("park_martin", " on all pairs of poses", True), ("shah", "", True),
+            )
+        ),
+    ),
+    lambda plan: [inputs.hand_eye_cases(plan.sequences, plan.seed)],
+    judge_hand_eye,
+    ("shift_mm", "rotation_deg", "shift_90_mm", "rotation_90_deg"),
+    ("shift_mm", "rotation_deg"),
+    spare=False,
+)  # fmt: skip
+
 VOXEL = Race(
     "voxel",
     "Voxel grid filter of 2 mm",
@@ -306,5 +341,5 @@ LARGE_GROOVE = Race(
     lap="groove",
 )
 
-RACES = (DETECT, COARSE, GROOVE, DIFFERENCE, ICP, CALIBRATION, VOXEL, FPFH, STARTUP, FIRST_CALL)
+RACES = (DETECT, COARSE, GROOVE, DIFFERENCE, ICP, CALIBRATION, HAND_EYE, VOXEL, FPFH, STARTUP, FIRST_CALL)
 LARGE = (LARGE_DETECT, LARGE_GROOVE)

@@ -60,3 +60,22 @@ def part_view(T_part_camera, rng, n=4000, flat=False, noise_mm=0.02):
         z += (0.0 if flat else height) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / width)
     points = np.column_stack([x, y, z + noise_mm * rng.normal(size=n)])
     return move_points(inverse(T_part_camera), points)
+
+
+def plate_view(T_camera_plate, rng, sides=(160.0, 110.0), noise_mm=0.1, n=9000):
+    """Points of a plate 6 mm thick on a table, beside a box, in the frame of a camera at the origin."""
+    half = np.array(sides) / 2
+    plate = np.column_stack([rng.uniform(-half, half, (n, 2)), np.zeros(n)])
+    table = np.column_stack([rng.uniform(-250, 250, (4 * n, 2)), np.full(4 * n, -6.0)])
+    table = table[(np.abs(table[:, :2]) > half + 3).any(axis=1)]
+    box = np.column_stack([rng.uniform(110, 180, n), rng.uniform(-40, 60, n), np.full(n, 25.0)])
+    points = np.vstack([plate, table, box])
+    return move_points(T_camera_plate, points + noise_mm * rng.normal(size=points.shape))
+
+
+def three_spheres_view(T_camera_target, rng, radius=19.05, n=500):
+    """Points of three spheres on a table, 90, 120 and 150 mm apart, and their centres (3, 3), in the camera's frame."""
+    centres = move_points(T_camera_target, [[0.0, 0, 0], [150, 0, 0], [54, 72, 0]])
+    views = [sphere_view(centre, radius, rng, n)[:n] for centre in centres]
+    table = np.column_stack([rng.uniform(-150, 250, (4 * n, 2)), np.full(4 * n, -radius)])
+    return np.vstack([*views, move_points(T_camera_target, table)]), centres

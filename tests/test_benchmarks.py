@@ -18,7 +18,8 @@ from grindvision.clouds import write_ply
 
 TINY = replace(races.QUICK, poses=1)
 STAGES = {
-    one.name: one for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.VOXEL, races.FPFH)
+    one.name: one
+    for one in (races.COARSE, races.DIFFERENCE, races.ICP, races.CALIBRATION, races.HAND_EYE, races.VOXEL, races.FPFH)
 }
 PROMISED = ["case", "points", "racer", "kind", "rounds", "median_s", "min_s", "max_s", "cpu_s", "of_fastest_peer"]
 MEMORY = ["peak_mib", "growth_mib", "judged", "failures"]

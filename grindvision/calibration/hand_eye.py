@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
+from grindvision.calibration.hand_eye_fit import LEVER_MM, FitOptions, fit, left_out_mm
+from grindvision.calibration.hand_eye_noise import PoseErrors
 from grindvision.calibration.hand_eye_starts import motion_spread, starts_from_points, starts_from_poses
 from grindvision.errors import DegenerateError, InputError
-from grindvision.geometry import inverse, mean_rigid, move_points, nearest_rotation, rigid, rotation_about, skew
+from grindvision.geometry import inverse
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -31,9 +32,6 @@ LEAST_SECOND_AXIS_DEG = 2.0
 
 #: From so many poses on a wrong one can be told from the rest, and loses its weight.
 ROBUST_FROM = 6
-
-#: Distance (mm) at which an error of rotation counts as one of place, until their sizes are known.
-LEVER_MM = 100.0
 
 
 @by_content
@@ -56,6 +54,7 @@ class HandEye:
     pose puts the target, less where it is; ``residuals_rad`` (N, 3) its rotation (NaN for points); ``left_out_mm`` (N,)
     how far off a pose puts the target when it took no part in the fit. ``weights`` (N,) in 0..1: near zero, the pose
     does not fit the others. ``starts_differ``: degrees and mm between two closed-form solutions (NaN: only one).
+    ``errors``: of arm and camera, from ``ROBUST_FROM`` poses of a target on; None for points.
     """
 
     T_parent_camera: Floats
@@ -68,6 +67,7 @@ class HandEye:
     weights: Floats
     starts_differ: tuple[float, float]
     spread_deg: Floats
+    errors: PoseErrors | None = None
 
     @property
     def rms_mm(self) -> float:
@@ -91,18 +91,6 @@ class HandEye:
             f" {np.sqrt(np.mean(self.left_out_mm**2)):.2f} mm; camera known to +- {self.sigma_mm.max():.2f} mm,"
             f" +- {self.sigma_deg.max():.3f} deg"
         )
-
-
-@by_content
-@dataclass(frozen=True)
-class _Fit:
-    X: Floats
-    Y: Floats
-    place: Floats  # (N, 3) mm
-    turn: Floats  # (N, 3) rad, NaN for points
-    weights: Floats
-    covariance: Floats
-    cost: float
 
 
 def carriers(T_base_flange: ArrayLike, mounted: str) -> Floats:
@@ -152,21 +140,23 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     refuse_motions(spread, axes, mounted)
     points = target.ndim == 2
     starts, differ = starts_from_points(carrier, target) if points else starts_from_poses(carrier, target)
-    fits = [_fit(carrier, target, start, robust=False, iterations=12) for start in starts]
-    start = min(fits, key=lambda fit: fit.cost)
-    found = _fit(carrier, target, start.X, robust=len(carrier) >= ROBUST_FROM)
-    left_out = np.array([_left_out(carrier, target, found, row) for row in range(len(carrier))])
+    fits = [fit(carrier, target, start, FitOptions(iterations=12)) for start in starts]
+    start = min(fits, key=lambda one: one.cost)
+    many = len(carrier) >= ROBUST_FROM
+    on_arm = mounted == "on-arm"
+    found = fit(carrier, target, start.X, FitOptions(on_arm, many, many))
+    left_out = np.array([left_out_mm(carrier, target, found, row, on_arm) for row in range(len(carrier))])
     return HandEye(
         found.X, found.Y, mounted, found.covariance, found.place, found.turn, left_out, found.weights, differ,
-        np.degrees(spread),
+        np.degrees(spread), None if found.sizes is None else PoseErrors(*np.sqrt(found.sizes)),
     )  # fmt: skip
 
 
 def quick_rms_mm(carrier: Floats, target: Floats) -> float:
     """What the best fit leaves of a target's places, mm rms with the unknowns counted, for comparing conventions."""
     starts, _ = starts_from_points(carrier, target) if target.ndim == 2 else starts_from_poses(carrier, target)
-    fits = [_fit(carrier, target, start, robust=False, iterations=8) for start in starts]
-    best = min(fits, key=lambda fit: fit.cost)
+    fits = [fit(carrier, target, start, FitOptions(iterations=8)) for start in starts]
+    best = min(fits, key=lambda one: one.cost)
     n = len(carrier)
     free = max(n - 3, 1) if target.ndim == 2 else max(n - 2, 1)
     rms = (best.place**2).sum() / free
@@ -241,97 +231,3 @@ def _checked(T_base_flange: ArrayLike, target_camera: ArrayLike, mounted: str) -
             " wrong one"
         )
     return carrier, target
-
-
-def _residuals(carrier: Floats, target: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats]:
-    """Place (N, 3) in mm and rotation (N, 3) in rad of C_i X p_i against Y."""
-    if target.ndim == 2:
-        camera = target @ X[:3, :3].T + X[:3, 3]
-        place = np.einsum("nij,nj->ni", carrier[:, :3, :3], camera) + carrier[:, :3, 3] - Y[:3, 3]
-        return place, np.full_like(place, np.nan)
-    seen = carrier @ X @ target
-    turn = Rotation.from_matrix(seen[:, :3, :3] @ Y[:3, :3].T).as_rotvec()
-    return seen[:, :3, 3] - Y[:3, 3], turn
-
-
-def _jacobian(carrier: Floats, target: Floats, X: Floats) -> tuple[Floats, Floats]:
-    """Of place and rotation (N, 3, 12) with respect to X (translation, rotation, parent frame) and Y (alike)."""
-    rotation = carrier[:, :3, :3]
-    point = target if target.ndim == 2 else target[:, :3, 3]
-    place, turn = np.zeros((2, len(carrier), 3, 12))
-    place[:, :, :3] = rotation
-    place[:, :, 3:6] = -rotation @ skew(point @ X[:3, :3].T)
-    place[:, :, 6:9] = -np.eye(3)
-    turn[:, :, 3:6] = rotation
-    turn[:, :, 9:] = -np.eye(3)
-    return place, turn
-
-
-def _fit(
-    carrier: Floats,
-    target: Floats,
-    start: Floats,
-    robust: bool = False,
-    iterations: int = 40,
-    keep: Floats | None = None,
-) -> _Fit:
-    """Gauss-Newton on X and Y from a start for X; ``keep`` (N,) are fixed weights."""
-    X, Y = start.copy(), _place_of_target(carrier, target, start)
-    points = target.ndim == 2
-    columns = slice(0, 9) if points else slice(0, 12)
-    weights = np.ones(len(carrier)) if keep is None else keep
-    scale_turn = LEVER_MM
-    for step in range(iterations):
-        place, turn = _residuals(carrier, target, X, Y)
-        J_place, J_turn = _jacobian(carrier, target, X)
-        if not points and step == 6 and len(carrier) >= ROBUST_FROM:
-            size_place, size_turn = (np.median(np.linalg.norm(part, axis=1)) for part in (place, turn))
-            scale_turn = float(np.clip(size_place / max(size_turn, 1e-12), 1.0, 1e5))
-        rows, J = place, J_place
-        if not points:
-            rows = np.concatenate([place, scale_turn * turn], axis=1)
-            J = np.concatenate([J_place, scale_turn * J_turn], axis=1)
-        if robust and keep is None:
-            weights = _weights(np.linalg.norm(rows, axis=1))
-        root = np.sqrt(weights)
-        A = (root[:, None, None] * J)[..., columns].reshape(-1, columns.stop)
-        change = np.zeros(12)
-        change[columns] = np.linalg.lstsq(A, -(root[:, None] * rows).ravel(), rcond=1e-10)[0]
-        X, Y = _moved(X, change[:6]), _moved(Y, change[6:])
-        if np.abs(change[[0, 1, 2, 6, 7, 8]]).max() < 1e-9 and np.abs(change[[3, 4, 5, 9, 10, 11]]).max() < 1e-12:
-            break
-    place, turn = _residuals(carrier, target, X, Y)
-    rows = place if points else np.concatenate([place, scale_turn * turn], axis=1)
-    left = float((weights[:, None] * rows**2).sum())
-    information = A.T @ A
-    free = max(weights.sum() * rows.shape[1] - columns.stop, 1.0)
-    covariance = np.linalg.pinv(information, hermitian=True)[:6, :6] * left / free
-    return _Fit(X, Y, place, turn, weights, covariance, left)
-
-
-def _weights(sizes: Floats) -> Floats:
-    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding."""
-    scale = max(float(np.median(sizes)) / 1.54, 1e-6)
-    return np.clip(1 - (sizes / (6.0 * scale)) ** 2, 0.0, 1.0) ** 2
-
-
-def _moved(transform: Floats, change: Floats) -> Floats:
-    """A transform whose translation moves by change[:3] and whose rotation turns by change[3:], parent frame."""
-    size = float(np.linalg.norm(change[3:]))
-    turn = rotation_about(change[3:], size) if size > 0 else np.eye(3)
-    return rigid(nearest_rotation(turn @ transform[:3, :3]), transform[:3, 3] + change[:3])
-
-
-def _place_of_target(carrier: Floats, target: Floats, X: Floats) -> Floats:
-    if target.ndim == 2:
-        places = [move_points(pose @ X, point) for pose, point in zip(carrier, target, strict=True)]
-        return rigid(translation_mm=np.median(places, axis=0))
-    return mean_rigid(carrier @ X @ target)
-
-
-def _left_out(carrier: Floats, target: Floats, found: _Fit, row: int) -> float:
-    """How far off (mm) a pose puts the target by the place of camera and target that the others give."""
-    keep = np.maximum(found.weights, 1e-9)
-    keep[row] = 0.0
-    fit = _fit(carrier, target, found.X, iterations=8, keep=keep)
-    return float(np.linalg.norm(fit.place[row]))

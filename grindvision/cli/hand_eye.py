@@ -6,7 +6,7 @@ import argparse
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_convention_arguments, camera_content, stated_convention
 from grindvision.cli.hand_eye_targets import TargetSeen, given_poses, read_target, see_target
@@ -29,7 +29,8 @@ about axes that move along, zyx about fixed ones. Left out, the command says wha
 The target rests while the arm carries the camera (--mounted on-arm), or sits on the flange in front of a fixed camera
 (--mounted fixed: crop away what does not move with the flange). Turn the arm by 20 deg and more about two axes, and let
 a sphere appear all over the view. A part (--target part) needs no measure and no mark: its views are registered to each
-other. Flat, round and symmetric parts are refused, with the motion that they leave free.
+other. Flat, round and symmetric parts are refused, with the motion that they leave free. Three spheres and a plate give
+the whole pose in every view; which way round a plate lies, the arm's turns say.
 
 results in DIR:
   hand_eye.json    T_flange_camera (T_base_camera when fixed), 4x4, mm, T_a_b @ p_b = p_a; covariance, convention
@@ -42,6 +43,7 @@ exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything el
 example:
   grindvision hand-eye poses.txt view*.ply --rotation ur --pose-unit m --target sphere:38.1 -o camera
   grindvision hand-eye poses.txt view*.ply --rotation kuka --target part -o camera
+  grindvision hand-eye poses.txt view*.ply --rotation fanuc --target board:200x150 --mounted fixed -o camera
   grindvision hand-eye poses.txt board.txt --rotation abb --target poses --target-rotation rotation-vector -o camera
 """
 
@@ -56,9 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--target",
         required=True,
-        metavar="sphere:DIAMETER_MM|part|poses",
-        help="what rests: a sphere, by its diameter; the part itself, any shape that leaves no motion free; or poses:"
-        " in the place of clouds one table of T_camera_target that another tool measured (A X = B Z)",
+        metavar="sphere:DIAMETER_MM|spheres:DIAMETER_MM|board:LENGTHxWIDTH_MM|part|poses",
+        help="what rests: a sphere, by its diameter; three spheres of one diameter at different distances; a"
+        " rectangular plate, by its sides; the part itself, any shape that leaves no motion free; or poses: in the"
+        " place of clouds one table of T_camera_target that another tool measured (A X = B Z)",
     )
     data.add_argument(
         "--mounted", choices=("on-arm", "fixed"), default="on-arm", help="where the camera is (default on-arm)"
@@ -74,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run it."""
-    kind, size = read_target(options.target)
+    kind, sizes = read_target(options.target)
     from grindvision.calibration.hand_eye import FEWEST_POINTS, FEWEST_POSES, HandEyeOptions, free_directions, hand_eye
     from grindvision.calibration.hand_eye_checks import (
         check_pose_rows,
@@ -97,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("read"):
             clouds = _read(options) if given is None else []
         with work.stage("target"):
-            seen = given or see_target(kind, size, clouds, options.clouds, poses, options.seed)
+            seen = given or see_target(kind, sizes, clouds, options.clouds, poses, options.seed)
         labels = options.clouds if given is None else [f"row {row + 1}" for row in range(len(rows))]
         rows, names = rows[seen.rows], [labels[row] for row in seen.rows]
         if stated is None or poses is None:
@@ -113,15 +116,10 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("write"):
             _write(found, stated, names, work.place)
             draw(found, names, work.warnings, work.place / "report.png")
-        results = {
-            "rms_mm": found.rms_mm,
-            "left_out_mm": found.left_out_mm,
-            **seen.results,
-            "motions_deg": found.spread_deg,
-            "sigma_mm": found.sigma_mm,
-            "sigma_deg": found.sigma_deg,
-        }
-        work.report(str(found), results, {"convention": str(stated)}, shown=seen.told, questions=[_where(found)])
+        told = "\n".join(text for text in (seen.told, "" if found.errors is None else str(found.errors)) if text)
+        work.report(
+            str(found), _results(found, seen), {"convention": str(stated)}, shown=told, questions=[_where(found)]
+        )
     return 0
 
 
@@ -196,6 +194,20 @@ def _write(found: HandEye, stated: PoseConvention, names: Sequence[str], place: 
             f"{found.weights[row]:.4f}"
         )
     write_text(place / "poses.csv", "\n".join(lines) + "\n")
+
+
+def _results(found: HandEye, seen: TargetSeen) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "rms_mm": found.rms_mm,
+        "left_out_mm": found.left_out_mm,
+        **seen.results,
+        "motions_deg": found.spread_deg,
+        "sigma_mm": found.sigma_mm,
+        "sigma_deg": found.sigma_deg,
+        "errors": None if found.errors is None else asdict(found.errors),
+    }
 
 
 def _where(found: HandEye) -> str:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from grindvision.errors import InputError
+from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
     import numpy as np
+
+#: Kinds of ``--target`` that have sizes, and how many.
+KINDS = {"sphere": 1, "spheres": 1, "board": 2}
+
+#: Sizes of targets stay below (mm), and so many views must show one.
+LARGEST_MM, FEWEST_FOUND = 2000.0, 3
 
 #: Views up to which every pair is registered; of more, each with so many others that are turned least against it.
 ALL_PAIRS, NEAREST = 12, 6
@@ -28,26 +35,34 @@ class TargetSeen:
     told: str = ""
 
 
-def read_target(text: str) -> tuple[str, float]:
-    """Kind and size of ``--target``.
+def read_target(text: str) -> tuple[str, tuple[float, ...]]:
+    """Kind and sizes of ``--target``: a diameter, or two sides.
 
     Raises:
-        InputError: neither a sphere with its diameter, nor the part, nor poses.
+        InputError: none of ``KINDS``, or without its sizes.
     """
-    kind, _, size = text.partition(":")
+    kind, _, said = text.partition(":")
     if text in ("part", "poses"):
-        return kind, 0.0
+        return kind, ()
     try:
-        diameter = float(size)
+        sizes = tuple(float(word) for word in said.split("x"))
     except ValueError:
-        diameter = 0.0
-    if kind != "sphere" or not 0 < diameter < 1000:
-        raise InputError(f"--target {text}: say sphere:DIAMETER_MM, as in sphere:38.1, or part, or poses")
-    return kind, diameter
+        sizes = ()
+    if KINDS.get(kind) != len(sizes) or not all(0 < size < LARGEST_MM for size in sizes):
+        raise InputError(
+            f"--target {text}: say sphere:DIAMETER_MM, as in sphere:38.1, spheres:DIAMETER_MM for three of them,"
+            " board:LENGTHxWIDTH_MM for a plate, as in board:200x150, or part, or poses"
+        )
+    return kind, sizes
 
 
 def see_target(
-    kind: str, size: float, clouds: Sequence[np.ndarray], names: Sequence[str], poses: np.ndarray | None, seed: int
+    kind: str,
+    sizes: tuple[float, ...],
+    clouds: Sequence[np.ndarray],
+    names: Sequence[str],
+    poses: np.ndarray | None,
+    seed: int,
 ) -> TargetSeen:
     """Find the target in clouds (M_i, 3), mm; ``poses`` (N, 4, 4) of the arm, where known, say which views are alike.
 
@@ -55,7 +70,11 @@ def see_target(
         DegenerateError: it is not there, or leaves its pose open.
     """
     if kind == "sphere":
-        return _sphere(size, clouds, names, seed)
+        return _sphere(sizes[0], clouds, names, seed)
+    if kind == "spheres":
+        return _three_spheres(sizes[0], clouds, names, seed)
+    if kind == "board":
+        return _plate((sizes[0], sizes[1]), clouds, names, poses, seed)
     return _part(clouds, names, poses, seed)
 
 
@@ -88,7 +107,60 @@ def _sphere(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str],
     ]
     sigmas = np.array([np.sqrt(np.linalg.eigvalsh(fit.centre_covariance)[-1]) for fit in fits])
     centres = np.array([fit.centre_mm for fit in fits])
-    return TargetSeen(centres, np.arange(len(clouds)), {"camera_sigma_of_centre_mm": sigmas})
+    told = f"the camera knows a centre to +- {np.median(sigmas):.2g} mm in the median; what is left beyond is the arm's"
+    return TargetSeen(centres, np.arange(len(clouds)), {"camera_sigma_of_centre_mm": sigmas}, told)
+
+
+def _three_spheres(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str], seed: int) -> TargetSeen:
+    import numpy as np
+
+    from grindvision.calibration.sphere_triple import find_three_spheres, poses_of_triples
+
+    found, rows = _where_found(
+        lambda row, rng: find_three_spheres(clouds[row], diameter, rng, names[row]), len(clouds), seed
+    )
+    return TargetSeen(poses_of_triples(np.array(found), [names[row] for row in rows]), np.array(rows))
+
+
+def _plate(
+    sides: tuple[float, float], clouds: Sequence[np.ndarray], names: Sequence[str], poses: np.ndarray | None, seed: int
+) -> TargetSeen:
+    import numpy as np
+
+    from grindvision.calibration.plate_search import find_plate
+    from grindvision.calibration.plate_symmetry import fold_of, resolve, upright
+
+    found, rows = _where_found(lambda row, rng: find_plate(clouds[row], sides, rng, names[row]), len(clouds), seed)
+    plates, fold = np.array(found), fold_of(sides)
+    if poses is None:
+        return TargetSeen(upright(plates, fold), np.array(rows))
+    seen = resolve(poses[rows], plates, fold, [names[row] for row in rows])
+    told = f"the plate looks alike {fold} ways round; which way each view shows it follows from the arm's turns"
+    return TargetSeen(seen, np.array(rows), {"ways_round": fold}, told)
+
+
+def _where_found(
+    find: Callable[[int, np.random.Generator], np.ndarray], count: int, seed: int
+) -> tuple[list[np.ndarray], list[int]]:
+    """What ``find`` finds in each view, and in which views; those that show nothing are left out with a warning.
+
+    Raises:
+        DegenerateError: of the first view that shows nothing, where more than half of all do.
+    """
+    import numpy as np
+
+    found, rows, refused = [], [], []
+    for row, rng in enumerate(np.random.default_rng(seed).spawn(count)):
+        try:
+            found.append(find(row, rng))
+            rows.append(row)
+        except DegenerateError as refusal:
+            refused.append(refusal)
+    if refused and (2 * len(rows) < count or len(rows) < FEWEST_FOUND):
+        raise refused[0]
+    for refusal in refused:
+        warnings.warn(f"left out: {refusal}", GrindvisionWarning, stacklevel=2)
+    return found, rows
 
 
 def _part(clouds: Sequence[np.ndarray], names: Sequence[str], poses: np.ndarray | None, seed: int) -> TargetSeen:
