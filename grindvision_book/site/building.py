@@ -42,8 +42,8 @@ _LINKED = (
 )
 
 _RACES = (
-    "goals", "detect", "scenes", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "voxel",
-    "fpfh", "startup", "first_call", "large_detect", "large_groove",
+    "goals", "detect", "scenes", "growth", "floors", "coarse", "groove", "difference", "icp", "calibration", "hand_eye",
+    "voxel", "fpfh", "startup", "first_call", "large_detect", "large_groove",
 )  # fmt: skip
 
 #: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
@@ -51,7 +51,7 @@ _CONTENTS = {
     "The book": ("00", "evidence", "figures/scoreboard", "findings", "gallery", "scenes"),
     "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
     "peng2020: welding": ("10", "11"),
-    "Your own scans and arm": ("12", "13", "examples", "when_it_does_not_work"),
+    "Your own scans and arm": ("12", "13", "14", "examples", "when_it_does_not_work"),
     "Teaching": ("teachers_guide", "lessons", "exercises"),
     "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
     "Reference": (
