@@ -13,8 +13,12 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from grindvision.arm import write_arm
+from grindvision.calibration.pose_conventions import convention
 from grindvision.cli import detect_picture, groove_picture, main
+from grindvision.cli.camera_pose import camera_content
 from grindvision.clouds import write_ply
+from grindvision.files import write_json
+from grindvision.geometry import rigid
 from tests.calibration_rig import as_table, er3a, rig
 from tests.grinding_scene import arc_bead, pair
 from tests.groove_scenes import straight_groove
@@ -66,6 +70,8 @@ def good(tmp_path_factory):
     made = rig(er3a(), np.random.default_rng(1), test=12)
     as_table(made.measurements).to_csv(folder / "m.csv", index=False)
     write_arm(er3a(), folder / "r.csv")
+    write_json(folder / "camera.json", camera_content(rigid(None, [0, 50.0, 80]), "on-arm", convention("fanuc")))
+    (folder / "poses.txt").write_text("500 0 600 180 0 0\n500 20 600 180 5 0\n")
     return folder
 
 

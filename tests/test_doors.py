@@ -68,6 +68,9 @@ def doors(good, path):
     yield "calibrate", good / "m.csv", "--robot", path
     yield "calibrate-field", path.with_name(path.name + ".npy"), "--steps-mm", "0"
     yield "hand-eye", path, cloud, "--target", "sphere:38.1"
+    yield "merge", path, sample, test, "--hand-eye", good / "camera.json"
+    yield "merge", good / "poses.txt", path.with_name(path.name + ".ply"), test, "--hand-eye", good / "camera.json"
+    yield "merge", good / "poses.txt", sample, test, "--hand-eye", path
 
 
 _opened: list[str] | None = None

@@ -31,7 +31,8 @@ blanks part the columns, further columns are ignored:
                             tracker measures whole poses
   reflector                 optional: names of several reflectors on the tool; their places are found
   socket [, bar_mm]         instead of bx ..: the ball lies in a fixed socket at an unknown place, named here (with
-                            bar_mm: at the end of a ball bar of that length from it)
+                            bar_mm: at the end of a ball bar of that length from it). With sx .. it is a sphere at rest
+                            that the scanner sees from many poses: the arm without any tracker, its scale the scanner's
   to_socket, distance_mm    optional: the known distance from this row's socket to another
   plane                     instead of bx ..: the tip touches a fixed plane, named here
   q3_mm                     a prismatic joint (column type of the robot table) counts in mm, or in m as q3_m

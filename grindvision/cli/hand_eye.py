@@ -38,6 +38,10 @@ results in DIR:
   report.png       did it work? errors of the poses
   report.json      the numbers, timings, versions, parameters; written last
 
+the arm itself: one sphere at rest in many poses also calibrates it, without a tracker: `grindvision calibrate` with
+the joint angles, the centres as sx_mm, sy_mm, sz_mm and the sphere's name in column socket; what such data cannot know
+keeps its prior and is said.
+
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
 
 example:
