@@ -225,7 +225,7 @@ HAND_EYE = Race(
             )
             for method, equation, refined in (
                 ("park_martin", " on all pairs of poses", False), ("daniilidis", " on all pairs of poses", False),
-                ("shah", "", False), ("park_martin", " on all pairs of poses", True), ("shah", "", True),
+                ("shah", "", False), ("shah", "", True),
             )
         ),
     ),

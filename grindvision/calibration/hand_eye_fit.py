@@ -17,8 +17,8 @@ Floats = NDArray[np.float64]
 #: Distance (mm) at which an error of rotation counts as one of place, until their sizes are known.
 LEVER_MM = 100.0
 
-#: The sizes of the errors are estimated from this step on.
-FIRST_ESTIMATE = 3
+#: Steps in which the sizes of the errors are estimated.
+ESTIMATED = range(3, 10)
 
 
 @by_content
@@ -61,7 +61,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
     sizes = options.sizes
     for step in range(options.iterations):
         rows, J = _linearised(carrier, target, X, Y)
-        if target.ndim == 3 and options.noise and step >= FIRST_ESTIMATE:
+        if target.ndim == 3 and options.noise and step in ESTIMATED:
             made = components(carrier, target, X, options.on_arm)
             sizes = estimate(rows, J, made, weights, sizes)
         rows, J = _whitened(carrier, target, X, rows, J, replace(options, sizes=sizes))
@@ -73,7 +73,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
         change[columns] = np.linalg.lstsq(A, -(root[:, None] * rows).ravel(), rcond=1e-10)[0]
         X, Y = _moved(X, change[:6]), _moved(Y, change[6:])
         settled = np.abs(change[[0, 1, 2, 6, 7, 8]]).max() < 1e-7 and np.abs(change[[3, 4, 5, 9, 10, 11]]).max() < 1e-10
-        if settled and (not options.noise or step > 2 * FIRST_ESTIMATE):
+        if settled and (not options.noise or step >= ESTIMATED.stop):
             break
     place, turn = residuals(carrier, target, X, Y)
     rows, _ = _whitened(carrier, target, X, *_linearised(carrier, target, X, Y), replace(options, sizes=sizes))
