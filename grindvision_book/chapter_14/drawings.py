@@ -62,6 +62,6 @@ def draw_views(found: Joined, caption: str) -> None:
             rows.append(
                 pd.DataFrame({"camera": name, "view": number, "x_mm": points[order, 0], "z_mm": points[order, 1]})
             )
-        place.set(title=f"camera {name}: views meet at {meeting.overall_mm:.2f} mm", xlabel="x, base (mm)")
+        place.set(title=f"camera's place {name}", xlabel="x, base (mm)")
     axes[0].set_ylabel("z, base (mm)")
     book.save_figure(fig, "hand_eye_views", pd.concat(rows), caption)
