@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from grindvision.cell.solids import Shape, Solid, box, check_size, swept
 from grindvision.errors import InputError
-from grindvision.geometry import rotation_about
+from grindvision.geometry import rotation_about, unit_vectors, vector_angle
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -32,6 +32,8 @@ JOINTS = (
 #: Spacing of the stations of a root line, mm; segments of a full circle.
 STATION_MM, SEGMENTS = 0.5, 720
 CLEARANCE_MM = 2.0
+#: Tubes meet in a corner where their surfaces turn by at least this.
+MIN_CORNER_RAD = np.radians(20.0)
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,9 @@ class JointSize:
     """Sizes of a joint, mm: plates ``length_mm`` along the seam, ``width_mm`` across it, ``thickness_mm`` thick.
 
     ``height_mm`` is how far an upright or a branch stands up, ``angle_deg`` the angle of air in a T-joint or a corner,
-    ``gap_mm`` that of a butt joint; ``radius_mm`` of a tube, ``branch_mm`` the radius of a saddle's branch. ``tacks``
-    spheres of ``tack_mm`` radius lie in the seam, ``clamp`` lays a bar across its middle.
+    ``gap_mm`` that of a butt joint; ``radius_mm`` of a tube, ``branch_mm`` the radius of a saddle's branch, which leans
+    ``lean_deg`` from upright along the tube. ``tacks`` spheres of ``tack_mm`` radius lie in the seam, ``clamp`` lays a
+    bar across its middle.
     """
 
     length_mm: float = 180.0
@@ -51,6 +54,7 @@ class JointSize:
     gap_mm: float = 2.0
     radius_mm: float = 30.0
     branch_mm: float = 20.0
+    lean_deg: float = 0.0
     tacks: int = 0
     tack_mm: float = 3.0
     clamp: bool = False
@@ -61,8 +65,10 @@ class JointSize:
             check_size(name, getattr(self, name))
         if not 30 <= self.angle_deg <= 150:
             raise InputError(f"angle_deg is {self.angle_deg}; a joint's faces stand 30 to 150 deg apart")
-        if not self.branch_mm < self.radius_mm:
-            raise InputError(f"the branch's radius {self.branch_mm} mm is not below the tube's, {self.radius_mm} mm")
+        if self.branch_mm > self.radius_mm:
+            raise InputError(f"the branch's radius {self.branch_mm} mm is above the tube's, {self.radius_mm} mm")
+        if not 0 <= self.lean_deg <= 65:
+            raise InputError(f"lean_deg is {self.lean_deg}; a branch leans 0 to 65 deg from upright")
 
 
 @by_content
@@ -207,23 +213,28 @@ def _tube_on_plate(kind: str, size: JointSize) -> JointPiece:
 
 
 def _saddle(kind: str, size: JointSize) -> JointPiece:
-    """A tube along x with its axis at z = 0, and a branch along z."""
+    """A tube along x with its axis at z = 0, and a branch that leans from z towards x; their axes cross."""
     lay = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0]])
-    main = m3.Manifold.cylinder(size.length_mm, size.radius_mm, circular_segments=SEGMENTS)
-    main = main.translate([0, 0, -size.length_mm / 2]).transform(lay)
-    branch = m3.Manifold.cylinder(size.radius_mm + size.height_mm, size.branch_mm, circular_segments=SEGMENTS)
+    lean = np.radians(size.lean_deg)
+    reach = (size.radius_mm + size.branch_mm * np.sin(lean)) / np.cos(lean)
+    length = size.length_mm + 2 * reach * np.tan(lean)
+    main = m3.Manifold.cylinder(length, size.radius_mm, circular_segments=SEGMENTS)
+    main = main.translate([0, 0, -length / 2]).transform(lay)
+    turn = rotation_about([0.0, 1.0, 0.0], lean)
+    branch = m3.Manifold.cylinder(reach + size.height_mm, size.branch_mm, circular_segments=SEGMENTS)
+    branch = branch.transform(np.column_stack([turn, np.zeros(3)]))
     angle = np.arange(0, 2 * np.pi, STATION_MM / size.branch_mm)
-    x, y = size.branch_mm * np.cos(angle), size.branch_mm * np.sin(angle)
-    z = np.sqrt(size.radius_mm**2 - y**2)
-    root = np.column_stack([x, y, z])
-    tangents = np.gradient(np.concatenate([root[-1:], root, root[:1]]), axis=0)[1:-1]
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    of_branch = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    of_main = np.column_stack([0 * angle, y, z]) / size.radius_mm
-    normals = of_branch + of_main
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    shape = _spoiled(Shape.named(main, "tube") + Shape.named(branch, "branch"), size, root)
-    return JointPiece(kind, size, shape.solid(), root, tangents, normals, 40.0, -60.0)
+    of_branch = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]) @ turn.T
+    around = size.branch_mm * of_branch
+    level = np.sqrt(np.maximum(size.radius_mm**2 - around[:, 1] ** 2, 0.0))
+    root = around + ((level - around[:, 2]) / np.cos(lean))[:, None] * turn[:, 2]
+    tangents = unit_vectors(np.gradient(np.concatenate([root[-1:], root, root[:1]]), axis=0)[1:-1])
+    of_main = np.column_stack([0 * angle, root[:, 1], level]) / size.radius_mm
+    # Tubes of one radius touch at their sides: there is no corner to weld.
+    corner = vector_angle(of_branch, of_main) > MIN_CORNER_RAD
+    shape = _spoiled(Shape.named(main, "tube") + Shape.named(branch, "branch"), size, root[corner])
+    normals = unit_vectors(of_branch + of_main)[corner]
+    return JointPiece(kind, size, shape.solid(), root[corner], tangents[corner], normals, 40.0, -60.0)
 
 
 def _straight(

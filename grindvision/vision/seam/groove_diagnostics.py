@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_lines import DetectedGroove
 
 Floats = NDArray[np.float64]
@@ -15,6 +16,14 @@ MIN_BOTH_SIDES = 0.9
 #: Points on the walls lie between these fractions of the depth. A V has 60 % of its points there, a U with walls 11
 #: degrees from upright 14 %, a gap between upright faces none. So many points tell.
 WALL_DEPTHS, MIN_WALL_FRACTION, POINTS_ASKED = (0.2, 0.8), 0.08, 2000
+#: Distance from the root, in half widths: inner wall, outer wall, the surface beside the groove; and the bins there.
+INNER_WALL, OUTER_WALL, BESIDE = (0.1, 0.5), (0.4, 0.9), (1.1, 1.7)
+PROFILE_BINS = np.linspace(0.1, 1.75, 12)
+#: At its edge a groove turns by at least this, and its walls bend back by at most this fraction of it: the hollow
+#: between two round bodies has no edges. The surface beside it is nearly level.
+MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
+#: So many points of the cloud show the edges.
+PROFILE_POINTS = 40_000
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
 MIN_FILLING = 0.45
 
@@ -58,3 +67,42 @@ def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
     nearest = cKDTree(middle).query(members)[1]
     below = ((middle[nearest] - members) * groove.normals[nearest]).sum(axis=1) / groove.depth_mm[nearest]
     return float(((below > WALL_DEPTHS[0]) & (below < WALL_DEPTHS[1])).mean())
+
+
+def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
+    """Whether the surface turns from both walls of a groove into a level surface at an edge.
+
+    The hollow where two tubes meet bends on and on instead. Judged by the median cross-section in the cloud (N, 3).
+    """
+    points = cloud[:: len(cloud) // PROFILE_POINTS + 1]
+    half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
+    away, station = cKDTree(groove.root).query(points, distance_upper_bound=1.2 * PROFILE_BINS[-1] * half)
+    near = np.isfinite(away)
+    station, offset = station[near], points[near] - groove.root[station[near]]
+    along = unit_vectors(np.gradient(groove.root, axis=0))
+    across = unit_vectors(np.cross(groove.normals, along))
+    beside = np.abs((offset * along[station]).sum(axis=1)) < groove.step_mm
+    station, offset = station[beside], offset[beside]
+    place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
+    for edge in (groove.left, groove.right):
+        side = ((edge - groove.root) * across).sum(axis=1)
+        slopes = _slopes_deg(place / side[station], height, float(np.median(np.abs(side))))
+        turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
+        # NaN, where too little is seen, fails too.
+        if not (turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG):
+            return False
+    return True
+
+
+def _slopes_deg(place: Floats, height: Floats, half_mm: float) -> Floats:
+    """Slopes (3,) of inner wall, outer wall and surface of points at ``place`` (N,), in half widths from the root."""
+    number = np.digitize(place, PROFILE_BINS) - 1
+    middles = (PROFILE_BINS[1:] + PROFILE_BINS[:-1]) / 2
+    bins = [height[number == b] for b in range(len(middles))]
+    level = np.array([np.median(one) if len(one) > 5 else np.nan for one in bins])
+    slopes = np.full(3, np.nan)
+    for row, (low, high) in enumerate((INNER_WALL, OUTER_WALL, BESIDE)):
+        seen = (middles > low) & (middles < high) & np.isfinite(level)
+        if seen.sum() > 1:
+            slopes[row] = np.degrees(np.arctan(np.polyfit(middles[seen] * half_mm, level[seen], 1)[0]))
+    return slopes

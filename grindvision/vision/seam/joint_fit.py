@@ -25,6 +25,10 @@ Flags = NDArray[np.bool_]
 
 #: Passes of fitting the faces and moving the curve onto their intersection: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 4, 14
+#: The points around the curve are gathered anew after so many passes, so many cells to all sides.
+NEAR_PASSES, NEAR_CELLS = 3, 21.0
+#: A rough line is given up where its faces turn by less after the first passes.
+HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
 MIN_SHOWN_TURN_RAD, MIN_SHOWN_DEVIATIONS = np.radians(4.0), 2.0
 #: Fraction of the usual number of points near the seam below which a station does not show a face.
@@ -89,7 +93,11 @@ def fit_joint(
     place = cKDTree(path).query(curve.stations)[1]
     faces = faces_beside(curve, sides[0][place], sides[1][place], concave)
     length, growing = 0.0, True
+    cloud, members = points, np.arange(len(points))
     for number in range(MAX_PASSES):
+        if number % NEAR_PASSES == 0:
+            members = _around(cloud, curve, NEAR_CELLS * scale.cell)
+            points = cloud[members]
         if 0 < number < MAX_PASSES - 2 and growing and not closed:
             curve, faces = _prolonged(curve, faces, 3 * scale.cell)
         fitted = fit_faces(points, curve, faces, scale)
@@ -97,6 +105,8 @@ def fit_joint(
             return None
         displacement, slopes = intersections(curve, faces, fitted)
         shown = _shown(fitted, displacement, scale) & _turned(faces, slopes, fitted, concave)
+        if number == 1 and not _hopeful(faces, slopes, fitted, shown):
+            return None
         run = _main_run(shown, int(12 * scale.cell / step))
         if run is None:
             return None
@@ -110,7 +120,8 @@ def fit_joint(
         curve, faces, fitted = _cut(curve, faces, fitted, here)
         displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
-            return _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale)
+            result = _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale)
+            return replace(result, members=members[result.members])
         weight = np.where(shown, 1.0, 0.0)
         lateral = [smooth_along(displacement[:, k], weight, scale.cell, step, robust=True) for k in range(2)]
         stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
@@ -119,6 +130,23 @@ def fit_joint(
         place = cKDTree(stations).query(curve.stations)[1]
         faces = faces_beside(curve, turned[0][place], turned[1][place], concave)
     return None
+
+
+def _around(points: Floats, curve: SeamCurve, reach_mm: float) -> Integers:
+    """Points (K,) in the box around a curve, ``reach_mm`` larger to all sides."""
+    low, high = curve.stations.min(axis=0) - reach_mm, curve.stations.max(axis=0) + reach_mm
+    near = np.flatnonzero((points[:, 0] >= low[0]) & (points[:, 0] <= high[0]))
+    return near[((points[near, 1:] >= low[1:]) & (points[near, 1:] <= high[1:])).all(axis=1)]
+
+
+def _hopeful(faces: Faces, slopes: Floats, sides: FaceFit, shown: Flags) -> bool:
+    """Whether the turn may come to stand out once the curve lies where the faces meet."""
+    if not shown.any():
+        return False
+    first, second = root_normals(faces, slopes)
+    turn = np.arccos(np.clip(np.einsum("si,si->s", first, second), -1, 1))[shown]
+    sigma = np.median(np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))[shown])
+    return bool(np.percentile(turn, 80) > HOPEFUL_RAD and np.median(turn) > HOPEFUL_DEVIATIONS * sigma)
 
 
 def _shown(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:

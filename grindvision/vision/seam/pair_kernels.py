@@ -12,14 +12,24 @@ from grindvision.kernels import njit
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+#: How the normals around a place are spread: about two directions, or over all between them.
+TIGHT, BLURRED = 1, 2
 #: Kinds of a pair.
 CONCAVE, CONVEX, STEP = 1, 2, 3
 #: The least angle between two surfaces that meet, rad. Below it a weld seam is not told from a bend by normals.
 MIN_TURN_RAD = np.radians(12.0)
 #: Spread inside the groups over the distance of the groups. Evenly spread values, halved, have 0.29.
 MAX_SPREAD_RATIO = 0.24
+#: Of two bent surfaces, whose normals are spread as well: the jump of the normals where they meet, as two trends give
+#: it, over the distance of the groups' means and over the scatter about the trends; and the least jump. One surface
+#: that bends jumps by a quarter of that distance at most.
+MIN_JUMP_FRACTION, MIN_JUMP_SIGMAS, MIN_JUMP = 0.45, 4.0, 0.2
+#: Slopes are held down as by this fraction of the weights, one cell away.
+TREND_PRIOR = 0.05
 #: A step's height in standard deviations of the heights on either side.
 MIN_STEP_RATIO = 5.0
+#: Reach of the planes of two bent surfaces, in cells.
+CLOSE_CELLS = 1.5
 #: Each group has at least so many surfels.
 MIN_GROUP = 4
 
@@ -48,7 +58,9 @@ def classify_pairs(
         spread = _main_axis(normals, weights, near, centre, axis)
         if spread > (np.sin(MIN_TURN_RAD / 2) * 0.7) ** 2:
             split = _split_by_normal(normals, weights, near, centre, axis, group)
-            if split and _crease(points, normals, weights, near, group, i, size, values):
+            bent = split == BLURRED and _jumps(points, normals, weights, near, group, i, size)
+            reach = CLOSE_CELLS * size if bent else np.inf
+            if (bent or split == TIGHT) and _crease(points, normals, weights, near, group, (i, size, reach), values):
                 kind[i] = CONCAVE if values[i, 13] > 0 else CONVEX
                 values[i, 13] = 0.0
                 continue
@@ -99,8 +111,8 @@ def _main_axis(normals: Floats, weights: Floats, near: Integers, centre: Floats,
 @njit(cache=True, nogil=True)
 def _split_by_normal(
     normals: Floats, weights: Floats, near: Integers, centre: Floats, axis: Floats, group: Integers
-) -> bool:
-    """Put neighbours into two groups by their normals (2-means); False where a group is too small or they are blurred.
+) -> int:
+    """Put neighbours into two groups by their normals (2-means): 0 where one is empty, else ``TIGHT`` or ``BLURRED``.
 
     ``group`` is written for the members of ``near``.
     """
@@ -123,7 +135,7 @@ def _split_by_normal(
                 for k in range(3):
                     second[k] += weights[j] * normals[j, k]
         if one == 0.0 or two == 0.0:
-            return False
+            return 0
         for k in range(3):
             first[k], second[k] = first[k] / one, second[k] / two
         for j in near:
@@ -140,7 +152,53 @@ def _split_by_normal(
         for k in range(3):
             mean = first[k] if group[j] == 0 else second[k]
             within += weights[j] * (normals[j, k] - mean) ** 2
-    return between > 0 and within / total < MAX_SPREAD_RATIO**2 * between
+    return 0 if between == 0.0 else TIGHT if within / total < MAX_SPREAD_RATIO**2 * between else BLURRED
+
+
+@njit(cache=True, nogil=True)
+def _jumps(
+    points: Floats, normals: Floats, weights: Floats, near: Integers, group: Integers, i: int, size: float
+) -> bool:
+    """Whether the normals of two groups jump at point ``i``: each group has its own trend over the places.
+
+    The trends are straight, over the distance across and along the line in which the groups' planes meet.
+    """
+    means, total = np.zeros((2, 3)), np.zeros(2)
+    for j in near:
+        total[group[j]] += weights[j]
+        for k in range(3):
+            means[group[j], k] += weights[j] * normals[j, k]
+    for s in range(2):
+        means[s] /= total[s]
+    way = means[1] - means[0]
+    distance = np.sqrt((way**2).sum())
+    a, b = means[0], means[1]
+    along = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    length = np.sqrt((along**2).sum())
+    if distance < MIN_JUMP or length < 1e-6:
+        return False
+    way, along = way / distance, along / length
+    matrix, right, level = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
+    row, squares = np.ones(3), 0.0
+    for j in near:
+        s, w = group[j], weights[j]
+        place = (points[j] - points[i]) / size
+        row[1], row[2] = _dot(place, way), _dot(place, along)
+        value = _dot(normals[j], way)
+        squares += w * value * value
+        for p in range(3):
+            right[s, p] += w * row[p] * value
+            for q in range(3):
+                matrix[s, p, q] += w * row[p] * row[q]
+    for s in range(2):
+        for p in range(1, 3):
+            matrix[s, p, p] += TREND_PRIOR * total[s]
+        trend = np.linalg.solve(matrix[s], right[s])
+        level[s] = trend[0]
+        squares -= 2 * (trend * right[s]).sum() - (trend * (matrix[s] @ trend)).sum()
+    jump = level[1] - level[0]
+    scatter = np.sqrt(max(squares, 0.0) / total.sum())
+    return jump > max(MIN_JUMP, MIN_JUMP_FRACTION * distance) and jump > MIN_JUMP_SIGMAS * scatter
 
 
 @njit(cache=True, nogil=True)
@@ -150,22 +208,25 @@ def _crease(
     weights: Floats,
     near: Integers,
     group: Integers,
-    i: int,
-    size: float,
+    place: tuple[int, float, float],
     values: Floats,
 ) -> bool:
-    """Whether the planes of the two groups meet in a line near point ``i``; its values go into row ``i``.
+    """Whether the planes of the two groups meet in a line near a point; its values go into its row.
+
+    ``place`` is the point's number, the size of a cell and how far the planes reach, mm.
 
     Column 13 is 1 where the corner is concave and -1 where it is convex.
     """
+    i, size, reach = place
     sums = np.zeros((2, 8))
     for j in near:
         row = sums[group[j]]
-        row[0] += weights[j]
+        weight = weights[j] * _closeness(points[j], points[i], reach)
+        row[0] += weight
         row[7] += 1
         for k in range(3):
-            row[1 + k] += weights[j] * points[j, k]
-            row[4 + k] += weights[j] * normals[j, k]
+            row[1 + k] += weight * points[j, k]
+            row[4 + k] += weight * normals[j, k]
     if sums[0, 7] < MIN_GROUP or sums[1, 7] < MIN_GROUP:
         return False
     for s in range(2):
@@ -201,15 +262,22 @@ def _crease(
         height = 0.0
         for k in range(3):
             height += (points[j, k] - row[1 + k]) * row[4 + k]
-        off += weights[j] * height * height
-        total += weights[j]
-    if off / total > (0.2 * size) ** 2:
+        weight = weights[j] * _closeness(points[j], points[i], reach)
+        off += weight * height * height
+        total += weight
+    if off / total > ((0.2 if reach == np.inf else 0.3) * size) ** 2:
         return False
     values[i, 0:3], values[i, 3:6] = points[i] + displacement, along
     values[i, 6:9], values[i, 9:12] = a, b
     values[i, 12] = np.arccos(min(max(cosine, -1.0), 1.0))
     values[i, 13] = 1.0 if over_first > 0 else -1.0
     return True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _closeness(point: Floats, centre: Floats, reach: float) -> float:
+    """Weight of a neighbour by its distance."""
+    return np.exp(-0.5 * ((point - centre) ** 2).sum() / reach**2)
 
 
 @njit(cache=True, nogil=True)

@@ -34,6 +34,9 @@ Flags = NDArray[np.bool_]
 MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
 #: Where less than this fraction of the turn is there close to the root, a bend is ruled out by such a turn only.
 MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
+#: One surface bends where next to nothing of the turn is there close to the root, and a face bends the same way by so
+#: much, rad, over a cell. A bead hides the corner too, but the faces beside it are flat, and those of tubes bend away.
+MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
 MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.2, 0.08
 #: Faces are seen for so many cells at least; an outside corner, which every edge of a body is, for so many.
@@ -62,6 +65,9 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     if coarse or fit.sharpness < MIN_SHARPNESS:
         least = max(least, MIN_ROUNDED_RAD)
     if strongest < least or turn < MIN_TURN_DEVIATIONS * sigma:
+        return False
+    bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
+    if fit.sharpness < MIN_ANY_SHARPNESS and bend > ONE_BEND_RAD:
         return False
     if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
         return False

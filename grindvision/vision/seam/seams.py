@@ -20,7 +20,7 @@ from grindvision.loose_settings import settings_in
 from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
-from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, wall_fraction
+from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, has_edges, wall_fraction
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
@@ -124,7 +124,7 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
             others = surface_seams(cloud, sides[0][0], facing, spacing, groove_seams, wanted)
             if others:
                 break
-    groove_seams += [groove_seam(groove) for groove in doubtful if not _is_corner(groove, others)]
+    groove_seams += [groove_seam(groove) for groove in doubtful if not _is_corner(groove, others, cloud)]
     others = [seam for seam in others if not runs_along(seam.root, groove_seams)]
     classes = _classes([*groove_seams, *others], wanted)
     if not classes:
@@ -157,7 +157,7 @@ def _sorted_grooves(
     for groove in found.grooves if found is not None else ():
         mine = replace(groove, members=number[groove.members])
         is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION
-        (sure if is_sure else doubtful).append(mine)
+        (sure if is_sure and has_edges(mine, cloud) else doubtful).append(mine)
     return sure, doubtful
 
 
@@ -169,8 +169,13 @@ def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Itera
     yield None
 
 
-def _is_corner(groove: DetectedGroove, others: list[Seam]) -> bool:
-    """Whether a doubtful groove is better explained by one of the other seams, which runs within it."""
+def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> bool:
+    """Whether a doubtful groove is better explained by one of the other seams, which runs within it.
+
+    A hollow without edges is explained by any corner of the scene.
+    """
+    if any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others) and not has_edges(groove, cloud):
+        return True
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
         away = cKDTree(seam.root).query(groove.root)[0]

@@ -28,6 +28,8 @@ from grindvision.vision.surface.surfels import Surfels, build_surfels
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+#: What it counts that a scanner stands on the origin's side (the arm's), against its standing above.
+ORIGIN_SIDE = 0.6
 #: Edge of the surfels: so many spacings, so many times the noise, and at least this fraction of the cloud's diagonal.
 CELL_SPACINGS, CELL_NOISE, CELL_FRACTION = 4.0, 6.0, 1 / 150
 #: Where the finest cells show no seam, coarser ones are tried.
@@ -36,6 +38,8 @@ COARSER = (1.0, 1.7)
 ENOUGH = 0.1
 #: A rough line is at least so many cells long; interruptions up to this length are bridged.
 TRACED_CELLS, JOIN_CELLS = 3.5, 10.0
+#: So many of the longest rough lines are fitted.
+MAX_FITTED = 12
 #: The highest step that is taken for a plate's edge, mm.
 MAX_STEP_MM = 25.0
 #: A seam that runs along a known one for this fraction is that one again.
@@ -64,7 +68,10 @@ def surface_seams(
         scale = Scale(spacing, cell, float(np.median(surfels.noise_mm)))
         usable = ~_inside(surfels.points, known, 2 * cell)
         pairs = find_pairs(surfels, normals, usable)
-        found += _corners(cloud, (surfels, normals, towards), pairs, scale, [*known, *found], factor > 1)
+        scene = surfels, normals, towards
+        kinds = (CONCAVE, CONVEX) if OUTSIDE in wanted else (CONCAVE,)
+        for kind in kinds:
+            found += _corners(cloud, scene, pairs.of(kind), scale, [*known, *found], (kind == CONCAVE, factor > 1))
         found += _steps(cloud, pairs.of(STEP), scale, [*known, *found])
         if known or sum(seam.length_mm for seam in found if seam.kind not in (LAP, OUTSIDE)) > ENOUGH * diagonal:
             break
@@ -90,27 +97,26 @@ def _corners(
     pairs: SurfacePairs,
     scale: Scale,
     known: list[Seam],
-    coarse: bool,
+    way: tuple[bool, bool],
 ) -> list[Seam]:
-    """Concave and convex corners: rough lines through the pairs, fitted and named."""
+    """Corners along rough lines through pairs, fitted and named; ``way``: are they concave, are the cells coarse."""
     found: list[Seam] = []
-    for kind in (CONCAVE, CONVEX):
-        some = pairs.of(kind)
-        curves = trace_curves(some.places, some.along, scale.cell, JOIN_CELLS * scale.cell, TRACED_CELLS * scale.cell)
-        tree = cKDTree(some.places) if curves else None
-        for curve in curves:
-            if tree is None or runs_along(curve, [*known, *found], 1.5 * scale.cell):
-                continue
-            at = tree.query(curve)[1]
-            sides = _consistent(some.first[at], some.second[at])
-            fit = fit_joint(cloud, curve, sides, kind == CONCAVE, scale)
-            if fit is None or not plausible(fit, scale, kind == CONCAVE, coarse):
-                continue
-            seam = corner_seam(fit, *scene[:2], kind == CONCAVE, scene[2])
-            if seam.kind == LAP:
-                seam = _as_step(cloud, fit, scale) or seam
-            if not runs_along(seam.root, [*known, *found], 1.5 * scale.cell):
-                found.append(seam)
+    concave, coarse = way
+    curves = trace_curves(pairs.places, pairs.along, scale.cell, JOIN_CELLS * scale.cell, TRACED_CELLS * scale.cell)
+    tree = cKDTree(pairs.places) if curves else None
+    for curve in curves[:MAX_FITTED]:
+        if tree is None or runs_along(curve, [*known, *found], 1.5 * scale.cell):
+            continue
+        at = tree.query(curve)[1]
+        sides = _consistent(pairs.first[at], pairs.second[at])
+        fit = fit_joint(cloud, curve, sides, concave, scale)
+        if fit is None or not plausible(fit, scale, concave, coarse):
+            continue
+        seam = corner_seam(fit, *scene[:2], concave, scene[2])
+        if seam.kind == LAP:
+            seam = _as_step(cloud, fit, scale) or seam
+        if not runs_along(seam.root, [*known, *found], 1.5 * scale.cell):
+            found.append(seam)
     return found
 
 
@@ -176,8 +182,10 @@ def _turned(surfels: Surfels, towards: Floats | None, T_field_cloud: Floats) -> 
     direction = seen_along(surfels.points[sample], normals[sample], 2.0 * surfels.grid.size_mm)
     if direction is None:
         direction = rotate_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
-    # The bulge of a corner tells the wrong side: without a viewpoint, scans look down or away from the frame's origin.
-    up = direction[2] if abs(direction[2]) > 0.2 else -float(direction @ surfels.points.mean(axis=0))
+    # The bulge of a corner tells the wrong side: without a viewpoint, scanners look down and away from the origin.
+    middle = surfels.points.mean(axis=0)[:2]
+    outward = middle / max(float(np.linalg.norm(middle)), diagonal_mm(surfels.points))
+    up = direction[2] - ORIGIN_SIDE * float(direction[:2] @ outward)
     direction = direction if up >= 0 else -direction
     return np.asarray(normals * np.where(normals @ direction < 0, -1.0, 1.0)[:, None])
 
