@@ -26,7 +26,7 @@ CYLINDER_FRACTION = 0.35
 #: Surfels that lie in the extension of a face, or on a parallel surface, have normals within this of the face's.
 PARALLEL_RAD = np.radians(12.0)
 #: A face that ends within this behind the other one is a corner's, if so much of that stretch is seen to be empty.
-BEHIND_MM, MIN_EMPTY = 40.0, 0.3
+BEHIND_MM, MIN_EMPTY = 60.0, 0.3
 #: So many surfels are a surface.
 MIN_SURFELS = 8
 

@@ -22,8 +22,10 @@ PROFILE_BINS = np.linspace(0.1, 1.75, 12)
 #: At its edge a groove turns by at least this, and its walls bend back by at most this fraction of it: the hollow
 #: between two round bodies has no edges. The surface beside it is nearly level.
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
+#: A wall is upright whose edge lies within this fraction of the width from the root.
+UPRIGHT = 0.22
 #: So many points of the cloud show the edges.
-PROFILE_POINTS = 40_000
+PROFILE_POINTS = 12_000
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
 MIN_FILLING = 0.45
 
@@ -72,7 +74,8 @@ def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
 def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
     """Whether the surface turns from both walls of a groove into a level surface at an edge.
 
-    The hollow where two tubes meet bends on and on instead. Judged by the median cross-section in the cloud (N, 3).
+    The hollow where two tubes meet bends on and on instead. Judged by the median cross-section in the cloud (N, 3); an
+    upright wall, which is hardly seen, is not judged.
     """
     points = cloud[:: len(cloud) // PROFILE_POINTS + 1]
     half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
@@ -86,6 +89,8 @@ def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
     place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
     for edge in (groove.left, groove.right):
         side = ((edge - groove.root) * across).sum(axis=1)
+        if np.median(np.abs(side) / groove.width_mm) < UPRIGHT:
+            continue
         slopes = _slopes_deg(place / side[station], height, float(np.median(np.abs(side))))
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
         # NaN, where too little is seen, fails too.

@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 #: Neighbours within so many cells: the planes of surfels less than two cells from a crease are mixed.
 RADIUS_CELLS = 3.5
 #: A surfel across a crease is rougher than the usual one; only such are looked at.
-MIN_ROUGHNESS = 1.0
+MIN_ROUGHNESS = 1.1
 
 
 @by_content
