@@ -9,7 +9,6 @@ import pandas as pd
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 import grindvision_book as book
 from grindvision_book.chapter_15.study import Looked
@@ -114,8 +113,7 @@ def draw_stations(looks: Mapping[str, Looked], caption: str) -> None:
         assert seam is not None
         at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(seam.root, axis=0), axis=1))])
         truth = looked.scene.root_mm
-        off = cKDTree(truth).query(seam.root)[0]
-        shown = cKDTree(truth + looked.scene.root_errors_mm).query(seam.root)[0]
+        off, shown = looked.off_mm(truth), looked.off_mm(truth + looked.scene.root_errors_mm)
         place.fill_between(at, 0, 2 * seam.sigma_mm, color=COLOURS["truth"], alpha=0.25, lw=0, label="2 sigma, stated")
         place.plot(at, off, color=COLOURS["grey"], lw=1, label="from the true seam")
         place.plot(at, shown, color=COLOURS["ours"], lw=1.3, label="from it as the camera shows it")

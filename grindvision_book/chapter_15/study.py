@@ -54,10 +54,16 @@ class Looked:
         """Distance (S,) of the seam's stations from the true line as the camera shows it, mm; its ends left out."""
         if self.seam is None:
             return np.empty(0)
-        shown = self.scene.root_mm + self.scene.root_errors_mm
-        away = cKDTree(shown).query(self.seam.root)[0]
+        away = self.off_mm(self.scene.root_mm + self.scene.root_errors_mm)
         ends = cKDTree(self.seam.root[[0, -1]]).query(self.seam.root)[0]
         return away if self.seam.closed else away[ends > END_MM]
+
+    def off_mm(self, line: Floats) -> Floats:
+        """Distance (S,) of the seam's stations from a line (K, 3) beside the true seam, across the true seam, mm."""
+        assert self.seam is not None
+        nearest = cKDTree(line).query(self.seam.root)[1]
+        off, along = self.seam.root - line[nearest], self.scene.tangents[nearest]
+        return np.linalg.norm(off - (off * along).sum(axis=1)[:, None] * along, axis=1)
 
 
 def look(kind: str, seed: int, camera: Scanner | str = "D415", every: int = 1, **size: float) -> Looked:
