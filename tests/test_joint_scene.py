@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.cell import JOINTS, JointSize, StructuredLightScanner, joint_piece, joint_scene
 from grindvision.errors import InputError
-from grindvision.vision.seam.joint_names import KINDS
+from grindvision.vision.seam.joint_names import FAMILIES, KINDS
 from grindvision.vision.seam.seams import find_seams
 
 
@@ -46,3 +46,15 @@ def test_bad_sizes_are_named():
         JointSize(branch_mm=40)
     with pytest.raises(InputError, match="no joint 'x'"):
         joint_piece("x")
+
+
+@pytest.mark.parametrize("size", [JointSize(length_mm=250, radius_mm=40, branch_mm=30), JointSize(250, lean_deg=45)])
+def test_the_line_where_noisy_tubes_meet_is_found_among_pixels_without_depth(size):
+    rng = np.random.default_rng(1)
+    scene = joint_scene("saddle", rng, size, None, 500.0, every=2)
+    noisy = scene.points + rng.normal(0, 0.4, scene.points.shape)
+    found = find_seams(np.concatenate([noisy, np.zeros((len(noisy) // 10, 3))]))
+    (seam,) = found.seams
+    assert seam.kind in FAMILIES["fillet"] and seam.length_mm > 0.4 * 0.5 * len(scene.root_mm)
+    assert cKDTree(scene.root_mm + scene.root_errors_mm).query(seam.root)[0].mean() < 1.2
+    assert not found.labels[len(noisy) :].any()

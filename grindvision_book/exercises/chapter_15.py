@@ -85,7 +85,7 @@ EXERCISES = (
             Mistake(
                 "planes taken for perpendicular",
                 "Moving along one normal also moves you off the other plane, unless the normals are square.",
-                lambda *case: root_near(*case, cosine=0.0),
+                lambda a, n, b, m, place: root_near(a, n, b, m, place, cosine=0.0),
             ),
             Mistake(
                 "one plane after the other",

@@ -77,7 +77,9 @@ def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
     The hollow where two tubes meet bends on and on instead. Judged by the median cross-section in the cloud (N, 3); an
     upright wall, which is hardly seen, is not judged.
     """
-    points = cloud[:: len(cloud) // PROFILE_POINTS + 1]
+    # Drawn, not every n-th: a scan's rows would leave whole lines out.
+    drawn = np.random.default_rng(0).integers(len(cloud), size=PROFILE_POINTS)
+    points = cloud if len(cloud) < PROFILE_POINTS else cloud[drawn]
     half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
     away, station = cKDTree(groove.root).query(points, distance_upper_bound=1.2 * PROFILE_BINS[-1] * half)
     near = np.isfinite(away)
@@ -102,12 +104,12 @@ def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
 def _slopes_deg(place: Floats, height: Floats, half_mm: float) -> Floats:
     """Slopes (3,) of inner wall, outer wall and surface of points at ``place`` (N,), in half widths from the root."""
     number = np.digitize(place, PROFILE_BINS) - 1
-    middles = (PROFILE_BINS[1:] + PROFILE_BINS[:-1]) / 2
-    bins = [height[number == b] for b in range(len(middles))]
-    level = np.array([np.median(one) if len(one) > 5 else np.nan for one in bins])
+    bins = [number == b for b in range(len(PROFILE_BINS) - 1)]
+    # Each with its own place: the rows of a sparse scan do not lie in the middles of the bins.
+    profile = np.array([[np.median(place[b]), np.median(height[b])] for b in bins if b.sum() > 5]).reshape(-1, 2)
     slopes = np.full(3, np.nan)
     for row, (low, high) in enumerate((INNER_WALL, OUTER_WALL, BESIDE)):
-        seen = (middles > low) & (middles < high) & np.isfinite(level)
-        if seen.sum() > 1:
-            slopes[row] = np.degrees(np.arctan(np.polyfit(middles[seen] * half_mm, level[seen], 1)[0]))
+        part = profile[(profile[:, 0] > low) & (profile[:, 0] < high)]
+        if len(part) > 1:
+            slopes[row] = np.degrees(np.arctan(np.polyfit(part[:, 0] * half_mm, part[:, 1], 1)[0]))
     return slopes
