@@ -1,13 +1,15 @@
 """What speaks for a pose and against it: depth images, rivals, motions that are hardly known."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from grindvision.errors import AmbiguousError
-from grindvision.geometry import inverse, move_points, rigid, rotation_about, small_motion, twist_between
+from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_about, small_motion, twist_between
 from grindvision.vision.registration import depth_image as images
+from grindvision.vision.registration import rivals
 from grindvision.vision.registration.evidence import ABSENT, AGREES, IN_FRONT, IN_HOLE, UNSEEN
 from grindvision.vision.registration.free_motions import least_known_motion
 from grindvision.vision.registration.pose_candidates import PoseJudge
@@ -113,3 +115,43 @@ def test_an_origin_that_the_surface_hides_from_itself_is_no_scanners_place():
     assert images.depth_image(prepare_scan(seen, choose_resolution(seen), np.zeros(3))).known
     aside = bowl @ rotation_about((0, 1, 0), 1.2).T + [0.0, 0.0, 400.0]
     assert not images.depth_image(prepare_scan(aside, choose_resolution(aside), np.zeros(3))).known
+
+
+def test_the_teeth_of_a_part_show_in_the_angles_between_its_rivals():
+    tooth = np.radians(360 / 31)
+    assert rivals._folds([3 * tooth, 7 * tooth, np.pi * 2 - 12 * tooth]) == 31
+    assert rivals._folds([np.radians(120), np.radians(120.4)]) == 3
+    assert rivals._folds([np.radians(11.6)]) == 1
+    assert rivals._folds([1.0, 1.1, 1.234567, 0.3333]) == 1
+
+
+def ribbed_rod(seed, notch_deg):
+    """Half a rod with collars, as seen from above along x, with a notch about an angle where one is given."""
+    rng = np.random.default_rng(seed)
+    x, turn = rng.uniform(-60, 60, 30_000), rng.uniform(-1.2, 1.2, 30_000)
+    radius = 16 + 5 * (np.abs(x - 20) < 8) + 0.05 * np.maximum(-x, 0) + rng.normal(0, 0.03, len(x))
+    if notch_deg is not None:
+        radius -= 4.0 * ((np.abs(turn - np.radians(notch_deg)) < 0.2) & (np.abs(x + 30) < 12))
+    return np.column_stack([x, radius * np.sin(turn), 400 - radius * np.cos(turn)])
+
+
+def test_a_round_part_without_its_mark_in_both_scans_is_refused():
+    """What the scans overlap must not choose the turn: with no mark any turn fits."""
+    with pytest.raises(AmbiguousError):
+        register(ribbed_rod(0, None), ribbed_rod(1, None), RegisterOptions(seed=0))
+
+
+def test_what_no_longer_overlaps_is_no_rival_along_a_free_motion():
+    source, target = (ribbed_rod(seed, 10.0) for seed in (0, 1))
+    test, sample = prepare_pair(source, target, (np.zeros(3), np.zeros(3)))
+    judge = PoseJudge(test, sample, np.random.default_rng(0), 4000)
+    near = judge.refined(np.eye(4))
+    assert near is not None
+    best = judge.at_rest(near)
+    assert best is not None
+    information = np.diag([1.0, 1, 1, 1e-9, 900, 900])
+    free = replace(best, found=replace(best.found, information=information, centre_mm=np.array([0, 0, 400.0])))
+    slid = rivals._slid(judge, free)
+    assert slid
+    assert all(judge.evidence(one.pose).met > rivals.OVERLAPS * judge.evidence(best.pose).met for one in slid)
+    assert max(np.degrees(angle_between(one.pose, best.pose)) for one in slid) < 90

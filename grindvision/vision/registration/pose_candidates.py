@@ -68,6 +68,12 @@ class PoseJudge:
         self.extent = float(np.sqrt(((self.points - self.centre) ** 2).sum(axis=1).mean()))
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
 
+    def axes(self) -> Floats:
+        """Columns (3, 3): the principal axes of ``points``, right-handed, least extent first."""
+        _, axes = np.linalg.eigh(np.cov(self.points.T))
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        return np.asarray(axes)
+
     def evidence(self, pose: Floats, count: int | None = RESTING) -> Evidence:
         """What the first ``count`` samples of both scans, or all, say about a pose (4, 4)."""
         asked = pose.tobytes(), count
@@ -148,8 +154,9 @@ class PoseJudge:
         return np.array([agreeing_share(some, normals, self.coarse, pose, within) for pose in poses])
 
     def residuals(self, pose: Floats) -> Floats:
-        """Distances (N,) of ``points`` along the target's normals, NaN where the surfaces do not meet."""
-        residuals, facing = plane_residuals(self.points, self.normals, self.fine, pose, 2 * self.fine.grid.size_mm)
+        """Distances (N,) of the source's samples along the target's normals, NaN where the surfaces do not meet."""
+        points, normals = self.source.points, self.source.normals
+        residuals, facing = plane_residuals(points, normals, self.fine, pose, 2 * self.fine.grid.size_mm)
         return np.where(facing, residuals, np.nan)
 
 

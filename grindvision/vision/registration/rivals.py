@@ -4,6 +4,7 @@ steps along the motions that the surface resists least, and full turns about the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -22,6 +23,23 @@ WEAK = 0.04
 
 NEARLY = 0.02
 """A rival whose cost per surfel is larger by no more than so much shows a near symmetry, whose axis is searched."""
+
+MAX_FOLDS, SAME_TURN = 72, np.radians(0.6)
+"""Most teeth or holes that are looked for, and the angle within which the poses of rivals show them."""
+
+DOUBTED = 0.0005
+"""Fraction of surfels in front of what the other scanner saw above which turns about the principal axes are tried."""
+
+SLIDING = 0.002
+"""Along a motion that so small a part of the surface resists, ICP finds no place of its own: poses all along it are
+judged as they are."""
+
+OVERLAPS = 0.6
+"""A pose of which a smaller part agrees than this share of what agrees at the best one is no rival: beside each other,
+scans never contradict."""
+
+SLIDES = 36
+"""Poses judged to either side along such a motion: over half a turn, or twice the extent."""
 
 BOX_ROTATIONS = tuple(
     rotation
@@ -48,8 +66,14 @@ def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -
     found = [one for one in found if judge.differ(one.pose, best.pose)]
     near = [one for one in (*known, *found) if one.cost < best.cost + NEARLY and judge.differ(one.pose, best.pose)]
     found += judge.refined_all(_turned(judge, best, near), far=True)
+    found += judge.refined_all(_repeated(judge, best, near))
     worth = [one for one in found if one.cost < best.cost + 2 * NEARLY]
-    return judge.distinct([*known, *judge.settled(worth, 6)])
+    return judge.distinct([*known, *judge.settled(worth, 6), *_slid(judge, best)])
+
+
+def doubted(judge: PoseJudge, best: Candidate) -> bool:
+    """Whether more of the surfels stand in front of what the other scanner saw than at a true pose without a change."""
+    return judge.evidence(best.pose).hard > DOUBTED
 
 
 def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
@@ -63,8 +87,7 @@ def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floa
 
 def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
     """The best few poses (K, 4, 4) after ``rotations`` about the source's principal axes."""
-    _, axes = np.linalg.eigh(np.cov(judge.points.T))
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    axes = judge.axes()
     to_centre, back = rigid(None, -judge.centre), rigid(None, judge.centre)
     poses = np.stack([best.pose @ back @ rigid(axes @ rotation @ axes.T) @ to_centre for rotation in rotations])
     rough = judge.rough_shares(poses)
@@ -84,15 +107,13 @@ def _stepped(judge: PoseJudge, best: Candidate) -> list[Floats]:
 
 
 def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps: int = 72) -> Floats:
-    """The likeliest poses (K, 4, 4) of full turns about the axes of near symmetries, and of the weakest motions."""
-    axes = [*_weak_axes(judge, best), *(axis for one in near[:2] if (axis := _axis_between(best, one)) is not None)]
-    turns = np.arange(1, steps) * 2 * np.pi / steps
-    poses = [
-        back @ rigid(rotation_about(axis, turn)) @ to_pivot @ best.pose
-        for axis, pivot in axes
-        for back, to_pivot in [(rigid(None, pivot), rigid(None, -pivot))]
-        for turn in turns
-    ]
+    """The likeliest poses (K, 4, 4) of full turns about the axes of near symmetries, and of the weakest motions; about
+    the source's principal axes, too, where something contradicts the best pose."""
+    between = [axis for one in near[:2] if (axis := _axis_between(best, one)) is not None]
+    axes = [*_weak_axes(judge, best), *between]
+    if doubted(judge, best):
+        axes += [(axis, best.found.centre_mm) for axis in (best.pose[:3, :3] @ judge.axes()).T]
+    poses = [_about(axis, 2 * np.pi * k / steps, best) for axis in axes for k in range(1, steps)]
     if not poses:
         return np.empty((0, 4, 4))
     stacked = np.stack(poses)
@@ -101,6 +122,48 @@ def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps:
     costs = np.array(parallel_map(lambda pose: judge.evidence(pose, 400).cost(), stacked))
     order = np.argsort(costs, kind="stable")
     return distinct_poses(stacked[order], costs[order], judge.centre, 0.05 * judge.extent, np.radians(9), 12)[0]
+
+
+def _repeated(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], kept: int = 6) -> list[Floats]:
+    """The likeliest poses a tooth, a hole or several further, where near rivals show that the part repeats itself."""
+    folds = _folds([angle_between(one.pose, best.pose) for one in near])
+    axes = [axis for one in near[:1] if (axis := _axis_between(best, one)) is not None]
+    poses = [_about(axis, 2 * np.pi * k / folds, best) for axis in axes for k in range(1, folds)]
+    costs = parallel_map(lambda pose: judge.evidence(pose).cost(), poses)
+    return [poses[at] for at in np.argsort(costs, kind="stable")[:kept]]
+
+
+def _about(axis: Axis, turn: float, best: Candidate) -> Floats:
+    """The best pose (4, 4) turned by so many radians about an axis in the target's frame."""
+    direction, pivot = axis
+    return np.asarray(rigid(None, pivot) @ rigid(rotation_about(direction, turn)) @ rigid(None, -pivot) @ best.pose)
+
+
+def _folds(angles_rad: Sequence[float]) -> int:
+    """The fewest equal steps of a full turn, such as teeth, of which all these angles are multiples; 1 where there are
+    none, or less than two angles."""
+    turns = np.array(angles_rad) / (2 * np.pi)
+    for folds in range(2, MAX_FOLDS + 1) if len(turns) > 1 else ():
+        if (np.abs(turns * folds - np.round(turns * folds)) < folds * SAME_TURN / (2 * np.pi)).all():
+            return folds
+    return 1
+
+
+def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
+    """The likeliest poses all along the motions that next to nothing resists, judged without ICP, which would slide."""
+    to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
+    steps = np.concatenate([np.arange(-SLIDES, 0), np.arange(1, SLIDES + 1)])
+    poses = []
+    for twist in weak_motions(judge, best, SLIDING).T:
+        turn = float(np.linalg.norm(twist[3:]))
+        step = np.pi / SLIDES / turn if turn * judge.extent > 0.5 else 2 * judge.extent / SLIDES
+        poses += [back @ small_motion(at * step * twist) @ to_centre @ best.pose for at in steps]
+    least = OVERLAPS * judge.evidence(best.pose).met
+    poses = [pose for pose, seen in zip(poses, parallel_map(judge.evidence, poses), strict=True) if seen.met > least]
+    slid = [
+        Candidate(replace(best.found, T_target_source=pose), judge.evidence(pose).cost(), free=True) for pose in poses
+    ]
+    return sorted(slid, key=lambda one: one.cost)[:kept]
 
 
 def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:

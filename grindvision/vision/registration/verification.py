@@ -21,7 +21,7 @@ from grindvision.vision.registration.free_motions import motion_name, motion_nam
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
-from grindvision.vision.registration.rivals import weak_motions, with_rivals
+from grindvision.vision.registration.rivals import OVERLAPS, doubted, weak_motions, with_rivals
 from grindvision.vision.surface.scan import Scan
 
 Floats = NDArray[np.float64]
@@ -95,10 +95,11 @@ def choose_pose(
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(poses[tried:]))])
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
-    for _ in range(3):
+    for attempt in range(3):
         best = candidates[0]
         candidates = with_rivals(judge, best, candidates)
-        if not judge.differ(best.pose, candidates[0].pose):
+        # rivals that were found tell the axes of symmetry, about which the right pose may lie
+        if not judge.differ(best.pose, candidates[0].pose) and (attempt or not doubted(judge, best)):
             break
     best, *candidates = judge.ranked(candidates)
     _check_fit(judge, best)
@@ -169,13 +170,13 @@ def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) 
     for rival in rivals:
         other = judge.evidence(rival.pose, None)
         # what lies beside an outline decides nothing, unless nearly all of it does
-        absent = 0.0 if other.met > 0.6 * one.met else LOST
+        absent = 0.0 if other.met > OVERLAPS * one.met else LOST
         ratio = judge.surfels * (other.cost(absent) - one.cost(absent))
         if not judge.differ(rival.pose, best.pose, NEAR):
             both = np.stack([sharp, judge.residuals(rival.pose)])
             both = both[:, np.isfinite(both).all(axis=0)]
             costs = np.minimum((both / spread) ** 2, 9).sum(axis=1)
-            ratio += 0.5 * (costs[1] - costs[0]) * judge.surfels / (2 * len(judge.points)) / ALIKE
+            ratio += 0.5 * (costs[1] - costs[0]) * judge.surfels / (2 * len(judge.source.points)) / ALIKE
         ratios.append(float(ratio))
     return ratios
 
@@ -185,8 +186,9 @@ def _ambiguity(judge: PoseJudge, best: Candidate, rival: Candidate, ratio: float
     if rival.free:
         return _free_motion(judge, best, weak_motions(judge, best))
     motion = motion_name(rival.pose, best.pose, judge.centre, judge.extent)
+    odds = f" as well (odds {np.exp(min(ratio, 9)):.2g} to 1)" if ratio > 0 else ", too, by other signs even better"
     return (
-        f"the registration is ambiguous: {motion} fits as well (odds {np.exp(np.clip(ratio, -9, 9)):.2g} to 1);"
+        f"the registration is ambiguous: {motion} fits{odds};"
         " a symmetric part needs a mark or a scan that shows what breaks the symmetry"
     )
 
