@@ -1,9 +1,9 @@
-"""Stock, passes and the learnt process against the twin's truth: ``python -m benchmarks.grinding [SEEDS] [EVERY]``.
+"""Stock, passes and the loop against the twin's truth: ``python -m benchmarks.grinding [SEEDS] [EVERY] [FIRST]``.
 
-For each seed a scanner of its own scans the good part and the part with its bead; volume and sigma are held against the
-solids' volumes, the planned passes are simulated against the true part, once with the wheel touched off on the good
-surface beside the bead and once where the scan says it is, and Preston's coefficient is learnt from a third scan of the
-part ground with half of it.
+Each seed is another instrument, another arm and another process. Volume and sigma are held against the solids'
+volumes. The passes are driven on the true part three times: with the wheel touched off on the good surface beside the
+bead; where the scan says that the surface is, all in one go; and there, in the loop, with scans in between from which
+``grind --again`` learns where the wheel runs and Preston's coefficient.
 """
 
 from __future__ import annotations
@@ -14,117 +14,92 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grindvision.cell.grinding_scene import GrindingScene, grinding_scene
-from grindvision.cell.rays import target_of
-from grindvision.cell.scanners import StructuredLightScanner
-from grindvision.cell.solids import Solid
+from grindvision.cell.grinding_scene import grinding_scene
 from grindvision.errors import GrindvisionWarning
-from grindvision.geometry import inverse, move_points, rotate_vectors
-from grindvision.grinding import Grinding, GrindOptions, compare, grind
-from grindvision.motion.grinding import simulate_passes
-from grindvision.motion.grinding_options import GrindingOptions
-from grindvision.motion.removal import learn_removal
-from grindvision.vision.change.stock import measure_again
-from grindvision.vision.registration.scan_registration import StageClock
-from tests.ground_scans import ground_points
+from grindvision_book.chapter_16.loop import Job, Shop, first_job, first_plan, jobs, true_volume_mm3
 
-FACTOR = 0.5
-"""The true coefficient, of the planned one, with which the part is ground before the third scan."""
+ARM_MM = 0.03
+"""Standard deviation of the arm's error along the normal."""
+
+K_FACTORS = 0.6, 1.2
+"""The true coefficient is drawn between so many times the planned one."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One seed: volume and its error in sigmas; mm under the good surface at the deepest, and what 95 % of the bead has
-    left at most, touched off and not; the learnt factor against the true one."""
+    """One seed: the volume's relative error and its error in sigmas; the deepest gouge and what 95 % of the bead has
+    left at most, in mm, touched off, in one go without, and in the loop; the loop's jobs and passes, its verdict, and
+    the relative error of the coefficient where it was told (NaN elsewhere)."""
 
     volume_off: float
     sigmas_off: float
-    deepest_mm: float
-    left_95_mm: float
-    untouched_deepest_mm: float
+    touched_gouge_mm: float
+    touched_left_mm: float
+    blind_gouge_mm: float
+    blind_left_mm: float
+    loop_gouge_mm: float
+    loop_left_mm: float
+    loop_jobs: int
+    met: bool
     k_off: float
-
-
-def volume_mm3(solid: Solid) -> float:
-    """Volume of a solid, by its triangles."""
-    a, b, c = (solid.vertices_mm[solid.triangles[:, corner]] - solid.vertices_mm.mean(axis=0) for corner in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
 def outcome(seed: int, every: int) -> Outcome:
     """Scan, plan, grind, scan again."""
     scene = grinding_scene(np.random.default_rng(seed), every=every)
-    found = grind(scene.sample.points, scene.test.points, GrindOptions(GrindingOptions(depth_mm=0.1)))
-    piece, plan = found.stock.pieces[0], found.plans[0]
-    if plan is None:
-        raise SystemExit(f"seed {seed}: {found.refusals}")
-    truth = volume_mm3(scene.part.test) - volume_mm3(scene.part.sample)
-    shown = piece.map.shown
-    heights = [np.full(piece.map.shape, np.nan) for _ in range(2)]
-    places = np.argwhere(shown) * piece.map.spacing_mm
-    for grid, solid in zip(heights, (scene.part.sample, scene.part.test), strict=True):
-        grid[shown] = true_heights(scene, solid, *piece.map.in_scan(places))
-    good, bead = heights
-    off = float(np.nanmean(good[piece.unchanged]))
-    results = []
-    for touched in (off, 0.0):
-        *_, after = simulate_passes(plan, bead - touched)
-        left = after - (good - touched)
-        results.append((float(-np.nanmin(left)), float(np.quantile(left[bead - good > 0.05], 0.95))))
-    (deepest, left_95), (untouched, _) = results
+    rng = np.random.default_rng([seed, 16])
+    arm_mm, k_factor = ARM_MM * float(rng.standard_normal()), float(rng.uniform(*K_FACTORS))
+    touched_shop, blind_shop = Shop(touched_off=True), Shop(arm_mm=arm_mm, place_sigma_mm=0.0)
+    found = first_plan(scene, touched_shop)
+    touched, blind = (first_job(scene, shop, found) for shop in (touched_shop, blind_shop))
+    loop = list(jobs(scene, Shop(k_factor, arm_mm), seed, every))
+    truth = true_volume_mm3(scene)
+    piece, last = touched.piece, loop[-1]
     return Outcome(
         piece.volume_mm3 / truth - 1,
         (piece.volume_mm3 - truth) / piece.volume_sigma_mm3,
-        deepest,
-        left_95,
-        untouched,
-        learnt_factor(scene, seed, every, off) / FACTOR - 1,
+        touched.gouge_mm,
+        touched.left_95_mm,
+        blind.gouge_mm,
+        blind.left_95_mm,
+        last.gouge_mm,
+        last.left_95_mm,
+        len(loop),
+        last.after is not None and last.after.met,
+        k_error(loop),
     )
 
 
-def true_heights(scene: GrindingScene, solid: Solid, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Heights (N,) of a solid over points of the test scan's frame."""
-    T = scene.test.T_world_scanner
-    return target_of(solid).heights(move_points(T, points), rotate_vectors(T, normals), 5.0)
-
-
-def learnt_factor(scene: GrindingScene, seed: int, every: int, off_mm: float) -> float:
-    """The factor that a third scan tells, by the same instrument, after five passes of 0.3 mm."""
-    found: Grinding = grind(scene.sample.points, scene.test.points, GrindOptions(GrindingOptions(depth_mm=0.3)))
-    piece, plan = found.stock.pieces[0], found.plans[0]
-    assert plan is not None
-    serial = int(np.random.default_rng(seed).integers(2**31))
-    third = grinding_scene(
-        np.random.default_rng(seed + 10_000), scanner=StructuredLightScanner(serial=serial), every=every
-    ).test
-    T_test_third = inverse(scene.test.T_world_scanner) @ third.T_world_scanner
-    ground = ground_points(
-        third.points, plan, FACTOR, T_test_third, lambda p, n: true_heights(scene, scene.part.test, p, n) - off_mm
-    )
-    again = compare(scene.sample.points, ground, GrindOptions(), StageClock())
-    pair = again.registration
-    T_third_test = inverse(pair.T_target_source) @ found.T_sample_test
-    (after,) = measure_again(pair.source, pair.target, pair.fine, again.difference, [piece.place], T_third_test)
-    heights = np.where(after.inside & ~after.hidden, after.map.heights_mm, np.nan)
-    return learn_removal(plan, heights, np.hypot(piece.sigma_mm, after.sigma_mm)).factor
+def k_error(loop: list[Job]) -> float:
+    """Relative error of the first coefficient that a scan told."""
+    for job in loop:
+        if job.learnt is not None and not job.learnt.at_least:
+            return job.learnt.factor / job.k_factor - 1
+    return np.nan
 
 
 def main() -> None:
     """Print a line per seed and what they say together."""
-    seeds, every = (int(word) for word in (*sys.argv[1:], *("10", "1")[len(sys.argv) - 1 :]))
+    seeds, every, first = (int(word) for word in (*sys.argv[1:], *("10", "1", "0")[len(sys.argv) - 1 :]))
     warnings.simplefilter("ignore", GrindvisionWarning)
     rows = []
-    for seed in range(seeds):
+    for seed in range(first, first + seeds):
         rows.append(outcome(seed, every))
         print(seed, rows[-1], flush=True)
-    table = np.array([list(vars(row).values()) for row in rows])
+    column = {name: np.array([getattr(row, name) for row in rows], dtype=float) for name in vars(rows[0])}
     print(f"{seeds} seeds, every {every}. pixel")
-    print(
-        f"volume: median {np.median(np.abs(table[:, 0])):.2%} off; {np.mean(np.abs(table[:, 1]) < 1):.0%} within sigma"
-    )
-    print(f"touched off: {table[:, 2].max():.3f} mm deep at most, left on 95 %: {table[:, 3].max():.3f} mm at most")
-    print(f"not touched off: {table[:, 4].max():.3f} mm deep at most")
-    print(f"k: median {np.median(np.abs(table[:, 5])):.1%} off, at most {np.abs(table[:, 5]).max():.1%}")
+    off, sigmas = np.abs(column["volume_off"]), np.abs(column["sigmas_off"])
+    print(f"volume: median {np.median(off):.2%} off; {np.mean(sigmas < 1):.0%} within sigma")
+    for name in ("touched", "blind", "loop"):
+        gouge, left = column[f"{name}_gouge_mm"], column[f"{name}_left_mm"]
+        held = np.mean((gouge <= 0.05) & (left <= 0.15))
+        print(
+            f"{name}: {gouge.max():.3f} mm deep and {left.max():.3f} mm left on 95 % at most; both held by {held:.0%}"
+        )
+    k = np.abs(column["k_off"][np.isfinite(column["k_off"])])
+    many, met = column["loop_jobs"], column["met"]
+    print(f"loop: {many.mean():.1f} jobs, at most {many.max():.0f}; {met.mean():.0%} met")
+    print(f"k: told by {len(k)} seeds, median {np.median(k):.1%} off, at most {k.max():.1%}")
 
 
 if __name__ == "__main__":

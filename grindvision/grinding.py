@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points, inverse, move_points
+from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
+from grindvision.vision.change.detection import read_by
 from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
+from grindvision.vision.registration.model_registration import doubts_of_model, register_to_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
 
 Floats = NDArray[np.float64]
@@ -32,7 +35,12 @@ STAGES = (*scan_registration.STAGES, "difference", "stock", "passes")
 @dataclass(frozen=True)
 class GrindOptions:
     """Settings of ``grind``: the ``passes``, the height ``maps``, ``keep_out`` points (K, 3) in the frame of the test
-    scan that must not be touched, ``seed`` of the random draws, the scanners' places where they are known."""
+    scan that must not be touched, ``seed`` of the random draws, the scanners' places where they are known.
+
+    ``place_sigma_mm``: standard deviation of where the arm's wheel meets a surface that the scan shows, by the errors
+    of scanner, hand-eye and arm; 0 for a wheel that is touched off on the good surface beside the stock. ``datum_mm``:
+    the faces that fix the pose, as in ``DetectOptions``.
+    """
 
     passes: GrindingOptions = field(default_factory=GrindingOptions)
     maps: MeasureStockOptions = field(default_factory=MeasureStockOptions)
@@ -40,6 +48,12 @@ class GrindOptions:
     seed: int = 0
     viewpoint_sample_mm: ArrayLike | None = None
     viewpoint_test_mm: ArrayLike | None = None
+    place_sigma_mm: float = 0.0
+    datum_mm: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.place_sigma_mm < np.inf:
+            raise InputError(f"place_sigma_mm is {self.place_sigma_mm}; give a length, 0 for a wheel touched off")
 
 
 @by_content
@@ -78,7 +92,7 @@ class Grinding:
 
 @one_blas_thread()
 def grind(
-    sample: ArrayLike,
+    sample: ArrayLike | Model,
     test: ArrayLike,
     options: GrindOptions | None = None,
     finished: Callable[[str], None] | None = None,
@@ -86,7 +100,7 @@ def grind(
     """Measure what stands above the good part, and plan the passes that take it off.
 
     Args:
-        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame.
+        sample: scan of the good part, points (N, 3) in mm in its own scanner's frame, or its ``Model``.
         test: scan of the part to be ground, points (M, 3) in mm in its own scanner's frame.
         options: wheel, cut, process, maps; see ``GrindOptions``.
         finished: is told the name of each stage (``STAGES``) when it is done.
@@ -122,7 +136,7 @@ def grind(
     refusals = {}
     for number, piece in enumerate(stock.pieces, start=1):
         try:
-            plans.append(plan_grinding(workpiece(piece, keep_out, courses), options.passes))
+            plans.append(plan_grinding(workpiece(piece, keep_out, courses, options.place_sigma_mm), options.passes))
         except InputError as error:
             refusals[number] = str(error)
             plans.append(None)
@@ -140,17 +154,31 @@ def grind(
     return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
 
 
-def compare(sample: ArrayLike, test: ArrayLike, options: GrindOptions, clock: StageClock) -> Compared:
+def compare(sample: ArrayLike | Model, test: ArrayLike, options: GrindOptions, clock: StageClock) -> Compared:
     """Register a pair and find what differs; see ``detect`` for what is refused."""
-    viewpoints = options.viewpoint_test_mm, options.viewpoint_sample_mm
-    found = register_pair(test, sample, viewpoints, np.random.default_rng(options.seed), clock, NAMES)
-    difference = find_change(found.source, found.target, found.fine)
-    against = diagnose(found.source, found.target, found.fine, difference, options.seed)
+    rng, surface = np.random.default_rng(options.seed), None
+    if isinstance(sample, Model):
+        to_model = register_to_model(test, sample, options.viewpoint_test_mm, rng, clock, NAMES)
+        found, surface = to_model.registration, to_model.surface
+    else:
+        found = register_pair(test, sample, (options.viewpoint_test_mm, options.viewpoint_sample_mm), rng, clock, NAMES)
+    reading = read_by(found, options.datum_mm, options.seed)
+    found = replace(found, fine=reading.registration)
+    difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
+    against = reading.doubts(nothing_found=not difference.clusters)
+    if not reading.off:
+        against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
+    against += () if surface is None else doubts_of_model(surface.facets)
     clock.lap("difference")
     return Compared(found, difference, tuple(one for one in against if "material is missing" not in one))
 
 
-def workpiece(piece: StockPiece, keep_out: Floats | None = None, courses: tuple[Floats, ...] = ()) -> Workpiece:
+def workpiece(
+    piece: StockPiece,
+    keep_out: Floats | None = None,
+    courses: tuple[Floats, ...] = (),
+    offset_sigma_mm: float = 0.0,
+) -> Workpiece:
     """A piece of stock as ``plan_grinding`` takes it; ``courses`` (M, 3) of beads in the frame of the scan."""
     heights = piece.map
     keep = np.zeros(heights.shape, dtype=bool)
@@ -167,7 +195,9 @@ def workpiece(piece: StockPiece, keep_out: Floats | None = None, courses: tuple[
         if there.all() and piece.inside[at[:, 0], at[:, 1]].mean() > 0.8:
             course = on_map
             break
-    return Workpiece(heights, piece.inside, keep, piece.level_mm, piece.ground_sigma_mm, course)
+    return Workpiece(
+        heights, piece.inside, keep, piece.level_mm, piece.ground_sigma_mm, course, offset_sigma_mm=offset_sigma_mm
+    )
 
 
 def _courses(difference: Difference) -> tuple[Floats, ...]:

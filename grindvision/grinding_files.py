@@ -22,7 +22,10 @@ from grindvision.vision.change.stock import MappedPlace, StockPiece
 Floats = NDArray[np.float64]
 
 PLAN_FILE = "plan.npz"
-FORMAT = 1
+FORMAT = 2
+
+#: Numbers of a workpiece that are kept beside its maps.
+WORK_NUMBERS = ("level_mm", "sigma_mm", "offset_mm", "offset_sigma_mm")
 
 #: Numbers of a pass that are kept beside its strokes and heights.
 PASS_NUMBERS = ("number", "floor_mm", "depth_mm", "feed_mm_s", "force_n", "removed_mm3")
@@ -33,7 +36,7 @@ PASS_NUMBERS = ("number", "floor_mm", "depth_mm", "feed_mm_s", "force_n", "remov
 class GrindingJob:
     """A job as it was written: ``T_sample_test`` (4, 4), the ``places`` of its pieces, their ``sigma_mm`` (R, C) and
     ``plans`` (None where a piece has none), in the frame of the test scan; ``sample``: path, sha256 and unit of the
-    good scan."""
+    good scan; ``T_base_scanner`` (4, 4) of the test scan, where it was given."""
 
     sample: Mapping[str, str | None]
     T_sample_test: Floats
@@ -41,28 +44,35 @@ class GrindingJob:
     sigma_mm: tuple[Floats, ...]
     plans: tuple[GrindingPlan | None, ...]
     options: GrindingOptions
+    T_base_scanner: Floats | None = None
 
 
-def write_job(
-    path: str | Path,
+def job_of(
     T_sample_test: Floats,
     pieces: tuple[StockPiece, ...],
     plans: tuple[GrindingPlan | None, ...],
     options: GrindingOptions,
-    sample: Mapping[str, str | None],
-) -> None:
-    """Write a job, whole or not at all.
+    sample: Mapping[str, str | None] | None = None,
+    T_base_scanner: Floats | None = None,
+) -> GrindingJob:
+    """What a job is gone on with: the places of its ``pieces``, and their ``plans``."""
+    places, sigmas = tuple(piece.place for piece in pieces), tuple(piece.sigma_mm for piece in pieces)
+    return GrindingJob(sample or {}, T_sample_test, places, sigmas, plans, options, T_base_scanner)
+
+
+def write_job(path: str | Path, job: GrindingJob, pieces: tuple[StockPiece, ...]) -> None:
+    """Write a job, whole or not at all; the ``pieces`` are those that it was made of.
 
     Raises:
         FileError: the file cannot be written.
     """
     content: dict[str, Any] = {
-        "format": FORMAT, "sample": dict(sample), "T_sample_test": T_sample_test, "options": asdict(options),
-        "pieces": [],
+        "format": FORMAT, "sample": dict(job.sample), "T_sample_test": job.T_sample_test,
+        "options": asdict(job.options), "T_base_scanner": job.T_base_scanner, "pieces": [],
     }  # fmt: skip
     arrays: dict[str, Any] = {}
-    for number, (piece, plan) in enumerate(zip(pieces, plans, strict=True)):
-        place, key = piece.place, f"piece{number}_"
+    for number, (piece, place, plan) in enumerate(zip(pieces, job.places, job.plans, strict=True)):
+        key = f"piece{number}_"
         arrays |= {f"{key}frame": place.map.T_scan_map, f"{key}ground": place.map.ground_mm}
         arrays |= {f"{key}normals": place.map.normals, f"{key}sigma": piece.sigma_mm}
         arrays |= {f"{key}inside": place.inside, f"{key}unchanged": place.unchanged}
@@ -70,8 +80,8 @@ def write_job(
         entry: dict[str, Any] = {"spacing_mm": place.map.spacing_mm, "highest_mm": place.highest_mm, "plan": None}
         if plan is not None:
             entry["plan"] = {
-                "level_mm": plan.work.level_mm, "sigma_mm": plan.work.sigma_mm, "leave_mm": plan.leave_mm,
-                "options": asdict(plan.options),
+                **{name: getattr(plan.work, name) for name in WORK_NUMBERS},
+                "leave_mm": plan.leave_mm, "options": asdict(plan.options),
                 "passes": [
                     {name: getattr(one, name) for name in PASS_NUMBERS} | {"strokes": len(one.strokes)}
                     for one in plan.passes
@@ -119,6 +129,7 @@ def read_job(folder: str | Path) -> GrindingJob:
         tuple(one[1] for one in read),
         tuple(one[2] for one in read),
         GrindingOptions(**content["options"]),
+        None if content["T_base_scanner"] is None else np.array(content["T_base_scanner"], dtype=float),
     )
 
 
@@ -136,7 +147,8 @@ def _piece(
         return place, sigma, None
     course = arrays.get(f"{key}course")
     over = HeightMap(frame, entry["spacing_mm"], arrays[f"{key}floor"], normals, heights)
-    work = Workpiece(over, inside, arrays[f"{key}keep"], found["level_mm"], found["sigma_mm"], course)
+    numbers = {name: found[name] for name in WORK_NUMBERS}
+    work = Workpiece(over, inside, arrays[f"{key}keep"], course_mm=course, **numbers)
     passes = []
     for at, one in enumerate(found["passes"]):
         strokes = tuple(

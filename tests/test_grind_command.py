@@ -12,8 +12,8 @@ from grindvision.errors import FileError
 from grindvision.files import write_json
 from grindvision.geometry import inverse
 from grindvision.grinding_files import read_job
+from grindvision_book.chapter_16.ground_scans import ground_points
 from tests.grinding_scene import arc_bead, pair
-from tests.ground_scans import ground_points
 
 
 def told(capsys, *words):

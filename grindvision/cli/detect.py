@@ -138,7 +138,7 @@ def run(options: argparse.Namespace) -> int:
     libraries = ("numpy", "scipy", "numba", "matplotlib")
     with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
         with work.stage("read"):
-            sample, test, clouds = _read(options, field)
+            sample, test, clouds = read_sample_and_test(options, field, _mirrored(options))
         for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
             warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         settings = DetectOptions(
@@ -146,7 +146,7 @@ def run(options: argparse.Namespace) -> int:
             options.seed,
             options.sample_viewpoint,
             options.test_viewpoint,
-            _read_datum(options.datum, options.sample_unit or options.unit),
+            read_datum(options.datum, options.sample_unit or options.unit),
         )
         found = detect(sample, test, settings, work.finished)
         lacking = _lacking_height(found, options.require_height)
@@ -170,7 +170,7 @@ def run(options: argparse.Namespace) -> int:
     return 3 if lacking else 0
 
 
-def _read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
+def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
     """The datum of ``--datum``, if given: corners (2, 3) in mm of a box, or points (K, 3) in mm of a file.
 
     Raises:
@@ -200,14 +200,14 @@ def _read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
     return corners.reshape(2, 3)
 
 
-def _read(
-    options: argparse.Namespace, field: FieldCorrection | None
+def read_sample_and_test(
+    options: argparse.Namespace, field: FieldCorrection | None, mirrored: tuple[str | None, str | None] = (None, None)
 ) -> tuple[np.ndarray | Model, np.ndarray, list[Cloud | Model]]:
     """SAMPLE and TEST as ``detect`` takes them, without the scanner's depth error, and as they were read."""
     from grindvision.clouds import Cloud, finite_points
 
     units = options.sample_unit or options.unit, options.unit
-    good, scan = read_pair((options.sample, options.test), units, _mirrored(options))
+    good, scan = read_pair((options.sample, options.test), units, mirrored)
     test = finite_points(scan, options.test)
     if not isinstance(good, Cloud):
         if options.sample_viewpoint is not None:

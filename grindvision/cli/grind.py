@@ -5,20 +5,22 @@ from __future__ import annotations
 import argparse
 import math
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
 from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
+    UNITS,
+    add_field_argument,
     add_unit_argument,
     add_viewpoint_argument,
     diagnose_pose,
+    read_correction,
     read_pose,
-    read_scans,
     size_question,
     where_it_stood,
 )
@@ -27,10 +29,7 @@ from grindvision.errors import GrindvisionWarning, InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from grindvision.cli.grind_robot import GrindRobot
-    from grindvision.motion.grinding import GrindingPlan
     from grindvision.motion.grinding_options import GrindingOptions
-    from grindvision.motion.grinding_path import ToolPath
 
 EPILOG = """\
 results in DIR:
@@ -43,7 +42,9 @@ results in DIR:
   report.png        the largest piece; report.json  stock and passes in numbers; written last
 
 The wheel must be touched off on the good surface beside the stock: where a scanner and an arm see that surface
-differs by their own calibration, which no difference of scans shows.
+differs by their own calibration, which no difference of scans shows. Or say how far they may err with --place-sigma:
+the first passes stop above that, --again learns from its scan where the wheel cut, and the rest goes down to the end.
+The part stays clamped in between; give --scanner-pose in both runs unless the scanner stands still.
 
 exit code: 0 done, 3 with --again and --tolerance-mm: done, but the tolerance is not met, 2 the input cannot be used
 (one line says why), 1 anything else
@@ -76,12 +77,19 @@ FIELDS = {
 }
 
 
+LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this command."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
     scans = parser.add_argument_group("scans")
     scans.add_argument(
-        "clouds", nargs="+", metavar="CLOUD", help=f"SAMPLE and TEST, or with --again the new scan ({CLOUD_FORMATS})"
+        "clouds",
+        nargs="+",
+        metavar="CLOUD",
+        help=f"SAMPLE and TEST, or with --again the new scan ({CLOUD_FORMATS}); SAMPLE may be a model: STL, OBJ or a"
+        " PLY with faces",
     )
     scans.add_argument("--again", metavar="DIR", help="folder of an earlier run: judge a scan made after its passes")
     scans.add_argument("--sample", metavar="FILE", help="with --again: the good scan, where it was moved")
@@ -89,6 +97,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tolerance-mm", type=number, metavar="MM", help="with --again: what may stand above the good surface at most"
     )
     add_unit_argument(scans)
+    scans.add_argument("--sample-unit", choices=UNITS, help="unit of SAMPLE's numbers, where it is not that of TEST")
+    add_field_argument(scans)
+    scans.add_argument("--sample-model", action="store_true", help="SAMPLE is made of points of a model, as in detect")
+    scans.add_argument("--datum", nargs="+", metavar="FILE", help="the faces that fix the pose, as in detect")
     scans.add_argument("--scanner-pose", metavar="FILE.json", help="4x4 matrix T_base_scanner of the last scan, mm")
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST or the new scan")
@@ -115,6 +127,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     process.add_argument("--surface-speed", type=number, metavar="M_S", help="of the wheel (default: 20)")
     process.add_argument(
         "--k", type=number, metavar="MM2_N", help="Preston's coefficient (default: 2.5e-5; learnt later)"
+    )
+    process.add_argument(
+        "--place-sigma",
+        type=number,
+        metavar="MM",
+        help="standard deviation of where the arm's wheel meets a surface that the scan shows, by scanner, hand-eye and"
+        " arm: so much is left standing, three times, until --again has seen where the wheel cut (default: 0, the wheel"
+        " is touched off on the good surface beside the stock)",
     )
     ways = parser.add_argument_group("ways")
     ways.add_argument("--lead", type=number, metavar="MM", help="length of lead-in and lead-out (default: 5)")
@@ -170,14 +190,17 @@ def grinding_options(options: argparse.Namespace, before: GrindingOptions | None
 
 
 def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
+    from grindvision.cli.detect import read_datum, read_sample_and_test
     from grindvision.cli.pictures import drawing
-    from grindvision.clouds import finite_points
     from grindvision.files import sha256
     from grindvision.grinding import STAGES, GrindOptions, grind
-    from grindvision.grinding_files import PLAN_FILE, write_job
+    from grindvision.grinding_files import PLAN_FILE, job_of, write_job
 
     draw = drawing("grind_picture")
     settings = grinding_options(options)
+    field = read_correction(options.field_correction, options.test_viewpoint)
+    if options.place_sigma is not None and not 0 <= options.place_sigma < 1e3:
+        raise InputError(f"--place-sigma is {options.place_sigma}; give a length in mm, 0 for a wheel touched off")
     T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
     robot = grind_robot(options, T_base_scanner)
     del options.clouds
@@ -185,8 +208,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
     with Run(options, ("sample", "test"), LIBRARIES, len(STAGES) + 4, outdated) as work:
         paths = (options.sample, options.test)
         with work.stage("read"):
-            clouds = read_scans(paths, options.unit)
-            sample, test = (finite_points(cloud, path) for cloud, path in zip(clouds, paths, strict=True))
+            sample, test, clouds = read_sample_and_test(options, field)
             keep_out = _keep_out(options)
         for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
             warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
@@ -196,6 +218,8 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
             seed=options.seed,
             viewpoint_sample_mm=options.sample_viewpoint,
             viewpoint_test_mm=options.test_viewpoint,
+            place_sigma_mm=options.place_sigma or 0.0,
+            datum_mm=read_datum(options.datum, options.sample_unit or options.unit),
         )
         found = grind(sample, test, asked, work.finished)
         with work.stage("write"):
@@ -203,9 +227,11 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
                 "path": str(Path(options.sample).resolve()),
                 "sha256": sha256(options.sample),
                 "unit": options.unit,
+                "sample_unit": options.sample_unit,
             }
-            plan_file = work.place / PLAN_FILE
-            write_job(plan_file, found.T_sample_test, found.stock.pieces, found.plans, settings, origin)
+            pieces = found.stock.pieces
+            job = job_of(found.T_sample_test, pieces, found.plans, settings, origin, T_base_scanner)
+            write_job(work.place / PLAN_FILE, job, pieces)
             motion = write_ways(work.place, found.plans, T_base_scanner, robot, test)
         facts = {"serials": serials, "inputs": {path: sha256(path) for path in paths}}
         with work.stage("picture"):
@@ -237,95 +263,6 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         values = {"leave_mm": [None if plan is None else plan.leave_mm for plan in found.plans]}
         work.report(str(found), results, values, found.timings_s, shown, questions)
     return 0
-
-
-LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
-
-COLUMNS = "piece,pass,line,kind,x_mm,y_mm,z_mm,nx,ny,nz,tx,ty,tz,feed_mm_s,force_n"
-
-
-def write_ways(
-    folder: Path,
-    plans: Sequence[GrindingPlan | None],
-    T_base_scanner: np.ndarray | None,
-    robot: GrindRobot | None,
-    points: np.ndarray,
-) -> list[dict[str, Any]] | None:
-    """Write passes.csv, passes_base.csv where a pose is given, and the robot's programmes; what these are, or None."""
-    from grindvision.files import write_text
-    from grindvision.motion.grinding_path import tool_path
-
-    ways = [None if plan is None else tool_path(plan) for plan in plans]
-    write_text(folder / "passes.csv", passes_text(ways))
-    if T_base_scanner is not None:
-        based = [None if way is None else way.moved(T_base_scanner) for way in ways]
-        write_text(folder / "passes_base.csv", passes_text(based))
-    return None if robot is None else robot.write(ways, points, folder)
-
-
-def passes_text(ways: list[ToolPath | None]) -> str:
-    """The places of all ways as CSV; a piece without a way has none."""
-    import numpy as np
-
-    from grindvision.motion.grinding_path import KINDS
-
-    lines = [COLUMNS]
-    for piece, way in enumerate(ways, start=1):
-        if way is None:
-            continue
-        numbers = np.column_stack([way.points, way.normals, way.ahead, way.feeds_mm_s, way.forces_n])
-        for at, row in enumerate(np.round(numbers, 6).tolist()):
-            words = (piece, way.passes[at], way.lines[at], KINDS[way.kinds[at]], *row)
-            lines.append(",".join(map(str, words)))
-    return "\n".join(lines) + "\n"
-
-
-def piece_facts(piece: Any) -> dict[str, Any]:
-    """What report.json says of a piece of stock."""
-    import numpy as np
-
-    from grindvision.geometry import move_points
-
-    grid = piece.map
-    middle = np.array([[side * grid.spacing_mm / 2 for side in (grid.shape[0] - 1, grid.shape[1] - 1)] + [0.0]])
-    names = ("volume_mm3", "area_mm2", "height_max_mm", "height_mean_mm")
-    spread = ("volume_sigma_mm3", "area_sigma_mm2", "height_max_sigma_mm", "height_mean_sigma_mm")
-    return {
-        "middle_mm": move_points(grid.T_scan_map, middle)[0],
-        **{name: getattr(piece, name) for pair in zip(names, spread, strict=True) for name in pair},
-        "hidden_mm2": piece.hidden_mm2,
-        "unshown_mm2": piece.unshown_mm2,
-        "datum_mm": float(piece.datum.heights_mm.mean()),
-        "datum_sigma_mm": float(np.sqrt(piece.datum.variances_mm2.mean())),
-        "node_spacing_mm": grid.spacing_mm,
-        "node_sigma_mm": piece.datum.noise.sigma_mm,
-    }
-
-
-def plan_facts(plan: Any) -> dict[str, Any] | None:
-    """What report.json says of a plan."""
-    if plan is None:
-        return None
-    import numpy as np
-
-    left = np.nan_to_num(plan.remaining_mm)[plan.work.inside]
-    return {
-        "leave_mm": plan.leave_mm,
-        "contact_s": plan.seconds,
-        "planned_remaining_mm": {"max": float(left.max()), "mean": float(left.mean())},
-        "unreached_mm2": float(plan.work.heights.areas_mm2[plan.unreached].sum()),
-        "passes": [
-            {
-                "pass": one.number,
-                "floor_mm": one.floor_mm,
-                "lines": len(one.strokes),
-                "feed_mm_s": one.feed_mm_s,
-                "force_n": one.force_n,
-                "removed_mm3": one.removed_mm3,
-            }
-            for one in plan.passes
-        ],
-    }
 
 
 def _keep_out(options: argparse.Namespace) -> np.ndarray | None:

@@ -8,7 +8,7 @@ the last floor is ever cut by a path that is followed. How deep a pass really cu
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ RELIEF_MM = 2.0
 LEAVE_SIGMAS = 1.5
 """So many standard deviations of the good surface the last pass leaves standing, where nothing else is asked for."""
 
+OFFSET_SIGMAS = 3.0
+"""So many standard deviations of the wheel's offset stay standing at least: no path says better where it cuts."""
+
 TOUCH_MM = 1e-6
 """What is cut by less is not touched."""
 
@@ -47,6 +50,9 @@ class Workpiece:
 
     ``keep`` (R, C): nodes that must not be touched; ``level_mm``: the level of detection; ``sigma_mm``: standard
     deviation of the good surface under the stock; ``course_mm`` (M, 2): the bead's course on the map, or None.
+    ``offset_mm``: how much higher over the good surface the wheel runs than it is sent, with its standard deviation
+    ``offset_sigma_mm``: errors of scanner, hand-eye and arm, which no difference of scans shows; 0 and 0 where it was
+    touched off on that surface.
     """
 
     heights: HeightMap
@@ -55,6 +61,8 @@ class Workpiece:
     level_mm: float
     sigma_mm: float
     course_mm: Floats | None = None
+    offset_mm: float = 0.0
+    offset_sigma_mm: float = 0.0
 
 
 @by_content
@@ -145,7 +153,8 @@ def plan_grinding(work: Workpiece, options: GrindingOptions | None = None) -> Gr
     """
     options = GrindingOptions() if options is None else options
     start = _checked_heights(work)
-    leave = LEAVE_SIGMAS * work.sigma_mm if options.leave_mm is None else options.leave_mm
+    unknown = OFFSET_SIGMAS * work.offset_sigma_mm
+    leave = float(np.hypot(LEAVE_SIGMAS * work.sigma_mm if options.leave_mm is None else options.leave_mm, unknown))
     if options.depth_mm < work.level_mm:
         raise InputError(
             f"a depth of {options.depth_mm:g} mm is below the level of detection of {work.level_mm:.2g} mm: no scan"
@@ -153,7 +162,8 @@ def plan_grinding(work: Workpiece, options: GrindingOptions | None = None) -> Gr
         )
     top = float(start[work.inside].max(initial=-np.inf))
     if not top > leave + TOUCH_MM:
-        raise InputError(f"nothing stands above the {leave:.3g} mm that are to be left; there is nothing to grind")
+        why = f", as the wheel's offset is known to {work.offset_sigma_mm:.2g} mm only" if unknown else ""
+        raise InputError(f"nothing stands above the {leave:.3g} mm that are to be left{why}; there is nothing to grind")
     count = int(np.ceil((top - leave) / options.depth_mm - 1e-9))
     if count > MAX_PASSES:
         raise InputError(
@@ -208,7 +218,10 @@ def _checked_heights(work: Workpiece) -> Floats:
     if np.shape(work.inside) != shape or np.shape(work.keep) != shape:
         raise InputError(f"marks of {np.shape(work.inside)} and {np.shape(work.keep)} for a map of {shape} nodes")
     known = work.heights.heights_mm[work.inside & work.heights.shown]
-    if np.isnan(known).any() or not np.isfinite([work.level_mm, work.sigma_mm]).all():
+    if (
+        np.isnan(known).any()
+        or not np.isfinite([work.level_mm, work.sigma_mm, work.offset_mm, work.offset_sigma_mm]).all()
+    ):
         raise InputError(
             f"{int(np.isnan(known).sum())} heights of the stock are NaN, level {work.level_mm}, sigma {work.sigma_mm};"
             " fill them or take the nodes out of the piece"
@@ -316,7 +329,7 @@ def _check_reached(plan: GrindingPlan, shape: ToolShape, nodes: Nodes, start: Fl
     if plan.passes:
         return
     work, options = plan.work, plan.options
-    free = Workpiece(work.heights, work.inside, np.zeros_like(work.keep), work.level_mm, work.sigma_mm, work.course_mm)
+    free = replace(work, keep=np.zeros_like(work.keep))
     if work.keep.any() and _strokes(free, options, shape, nodes, start, plan.leave_mm):
         raise InputError(
             f"what must stay, with {options.keep_out_mm:g} mm around it, closes the stock on all sides; no pass reaches"

@@ -97,7 +97,7 @@ class ToolPath:
 
 
 def tool_path(plan: GrindingPlan) -> ToolPath:
-    """The way of the tool through a plan's passes, in the frame of the scan.
+    """The way of the tool through a plan's passes, in the frame of the scan, sent lower by the wheel's known offset.
 
     Raises:
         InputError: the plan has no passes.
@@ -113,7 +113,7 @@ def _way(plan: GrindingPlan, one: GrindingPass, line: int, stroke: Stroke) -> tu
     """Columns of a ``ToolPath`` for one stroke, in the map's frame."""
     options = plan.options
     ahead, normals = stroke.poses[:, 3:6], stroke.poses[:, 9:12]
-    tips = stroke.poses[:, :3] + stroke.lifts_mm[:, None] * normals
+    tips = stroke.poses[:, :3] + (stroke.lifts_mm - plan.work.offset_mm)[:, None] * normals
     leads = [
         tips[end] + sign * options.lead_mm * ahead[end] + options.lead_height_mm * normals[end]
         for end, sign in ((0, -1.0), (-1, 1.0))

@@ -1,12 +1,17 @@
-"""What a process really takes off: Preston's coefficient learnt from scans before and after the passes."""
+"""What a process really takes off: Preston's coefficient and the wheel's offset, learnt from scans before and after.
+
+The coefficient says how much a stroke takes off where force and feed limit it; the offset, how much higher over the
+good surface the wheel runs than it is sent, shows where a stroke ended on its path.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize
 
 from grindvision.errors import InputError
 from grindvision.motion.grinding import GrindingPlan, simulate_passes
@@ -21,12 +26,20 @@ SMALLEST, LARGEST = 0.05, 4.0
 STEP = 0.02
 """Relative step of the slope by the coefficient."""
 
-MIN_TOLD = 20
-"""So many nodes must tell the coefficient: elsewhere the tool's own path ended the cut."""
+MIN_USED = 20
+"""Fewer nodes tell nothing."""
 
+KNOWN = 0.1
+"""Where the wheel is touched off, so much of the level of detection is a lag: there it cannot be an offset."""
 
 MIN_REMOVED = 0.05
 """Less than this fraction of what was planned is nothing taken off."""
+
+TRIED_FACTORS, TRIED_OFFSETS = 18, 13
+"""So many factors, then offsets within three standard deviations, are tried before the best is refined."""
+
+WHOLE = 2.0
+"""With this factor every stroke ends on its path."""
 
 
 @by_content
@@ -34,20 +47,25 @@ MIN_REMOVED = 0.05
 class LearntRemoval:
     """Preston's coefficient ``k_mm2_n`` with its standard deviation, and the ``factor`` against the planned one.
 
-    ``told``: nodes that tell it. Where too few do, the passes cut down to their floors everywhere: ``at_least`` is
-    True, and the coefficient is the least with which they would have.
+    ``lag_mm``: by how much the strokes ended above their paths in the mean. Where that is too little to be told,
+    the passes cut down to their floors: ``at_least`` is True, and the coefficient is the least with which they would
+    have. ``offset_mm``: how much higher the wheel ran than the plan took it to, with its standard deviation; 0 and 0
+    where it was touched off.
     """
 
     k_mm2_n: float
     k_sigma_mm2_n: float
     factor: float
-    told: int
+    lag_mm: float
     at_least: bool
+    offset_mm: float = 0.0
+    offset_sigma_mm: float = 0.0
 
     def __str__(self) -> str:
+        ran = f"; the wheel ran {self.offset_mm:+.3f} +- {self.offset_sigma_mm:.2g} mm" if self.offset_sigma_mm else ""
         if self.at_least:
-            return f"k is {self.k_mm2_n:.3g} mm2/N or more: the passes cut down to their floors"
-        return f"k = {self.k_mm2_n:.4g} +- {self.k_sigma_mm2_n:.2g} mm2/N, {self.factor:.2f} times the planned one"
+            return f"k is {self.k_mm2_n:.3g} mm2/N or more: the passes cut down to their floors{ran}"
+        return f"k = {self.k_mm2_n:.4g} +- {self.k_sigma_mm2_n:.2g} mm2/N, {self.factor:.2f} times the planned one{ran}"
 
 
 def learn_removal(
@@ -55,8 +73,9 @@ def learn_removal(
 ) -> LearntRemoval:
     """Learn Preston's coefficient from the heights before the passes, which the plan holds, and those after them.
 
-    The passes are simulated with one factor on the depth of all strokes; the one whose outcome is nearest to what was
-    measured is it.
+    The passes are simulated with one factor on the depth of all strokes, and one offset of the wheel where the plan
+    says that it is not known (``Workpiece.offset_sigma_mm``); those whose outcome is nearest to what was measured are
+    they.
 
     Args:
         plan: what was driven, from the heights that were measured before.
@@ -68,42 +87,89 @@ def learn_removal(
     Raises:
         InputError: the plan has no passes; too few nodes are measured; nothing was taken off.
     """
+    used = _used_nodes(plan, after_mm, sigma_mm)
+    weights, after = 1 / np.maximum(sigma_mm[used], 1e-9) ** 2 / alike_nodes, after_mm[used]
+    doubt = plan.work.offset_sigma_mm
+
+    def left(factor: float, offset_mm: float) -> Floats:
+        for heights in simulate_passes(plan, plan.work.heights.heights_mm - offset_mm, factor):
+            last = heights
+        return last[used] + offset_mm
+
+    def cost(log_factor: float, doubts: float = 0.0) -> float:
+        factor = float(np.exp(np.clip(log_factor, np.log(SMALLEST), np.log(LARGEST))))
+        return float((weights * (after - left(factor, doubts * doubt)) ** 2).sum()) + doubts**2
+
+    log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
+    found = np.array([min(log_factors, key=cost), 0.0])
+    if doubt:
+        found[1] = min(np.linspace(-3, 3, TRIED_OFFSETS), key=lambda doubts: cost(found[0], doubts))
+    free = 2 if doubt else 1
+    found[:free] = _best(lambda terms: cost(*terms), found[:free])
+    factor, offset = float(np.exp(found[0])), float(found[1]) * doubt
+    lag = float((left(factor, offset) - left(WHOLE, offset)).mean())
+    at_least = lag < plan.work.level_mm * (1.0 if doubt else KNOWN)
+    if at_least and doubt:
+        offset = doubt * float(_best(lambda doubts: cost(np.log(WHOLE), *doubts), found[1:])[0])
+    k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_sigma_mm)
+    if at_least:
+        # a lag too small to be told apart from an offset would pass for one
+        factor, k_sigma, offset_sigma = min(factor, 1.0), np.inf, min(float(np.hypot(offset_sigma, lag)), doubt)
+    planned = plan.options.k_mm2_n
+    return LearntRemoval(planned * factor, planned * k_sigma, factor, lag, at_least, offset, offset_sigma)
+
+
+def _best(cost: Callable[[Floats], float], start: Floats) -> Floats:
+    simplex = start + np.vstack([np.zeros(len(start)), 0.1 * np.eye(len(start))])
+    search = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-3}
+    return np.asarray(minimize(cost, start, method="Nelder-Mead", options=search).x)
+
+
+def _used_nodes(plan: GrindingPlan, after_mm: Floats, sigma_mm: Floats) -> Flags:
+    """Nodes (R, C) that were cut and are measured.
+
+    Raises:
+        InputError: see ``learn_removal``.
+    """
     if not plan.passes:
         raise InputError("the plan has no passes; nothing can be learnt from it")
     before = np.where(plan.work.inside, plan.work.heights.heights_mm, np.nan)
     cut = plan.work.inside & (plan.remaining_mm < before - plan.work.level_mm)
     used = cut & np.isfinite(after_mm) & np.isfinite(sigma_mm)
-    if used.sum() < MIN_TOLD:
+    if used.sum() < MIN_USED:
         raise InputError(f"only {int(used.sum())} nodes of what was ground are measured; scan the place from above")
-    weights = 1 / np.maximum(sigma_mm[used], 1e-9) ** 2
-    areas = plan.work.heights.areas_mm2[used]
-    removed = float(((before[used] - after_mm[used]) * areas).sum())
+    removed = float(((before - after_mm) * plan.work.heights.areas_mm2)[used].sum())
     planned = float(sum(one.removed_mm3 for one in plan.passes))
     if removed < MIN_REMOVED * planned:
         raise InputError(
             f"the new scan shows {removed:.3g} mm3 taken off where {planned:.3g} mm3 were planned; is it the scan after"
             " the passes?"
         )
+    return used
 
-    def left(factor: float) -> Floats:
-        for heights in simulate_passes(plan, plan.work.heights.heights_mm, factor):
-            last = heights
-        return last[used]
 
-    def cost(log_factor: float) -> float:
-        return float((weights * (after_mm[used] - left(float(np.exp(log_factor)))) ** 2).sum())
-
-    tried = np.linspace(np.log(SMALLEST), np.log(LARGEST), 18)
-    costs = [cost(one) for one in tried]
-    best = int(np.argmin(costs))
-    low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
-    factor = float(np.exp(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-4}).x))
-    slope = (left(factor * (1 + STEP)) - left(factor * (1 - STEP))) / (2 * STEP * factor)
-    telling = np.abs(slope) > 0.05 * plan.options.depth_mm
-    planned = plan.options.k_mm2_n
-    if telling.sum() < max(MIN_TOLD, 0.02 * used.sum()):
-        return LearntRemoval(planned * min(factor, 1.0), np.inf, min(factor, 1.0), int(telling.sum()), True)
-    information = float((weights * slope**2).sum())
-    common = float((weights * slope).sum() / information) * common_sigma_mm
-    sigma = float(np.hypot(np.sqrt(alike_nodes / information), common))
-    return LearntRemoval(planned * factor, planned * sigma, factor, int(telling.sum()), False)
+def _sigmas(
+    plan: GrindingPlan,
+    found: tuple[float, float],
+    at_least: bool,
+    left: Callable[[float, float], Floats],
+    weights: Floats,
+    common_sigma_mm: float,
+) -> tuple[float, float]:
+    """Standard deviations of the factor, unless it is ``at_least``, and of the offset; ``weights`` (N,) of nodes."""
+    (factor, offset), doubt = found, plan.work.offset_sigma_mm
+    slopes, prior = [], []
+    if not at_least:
+        slopes.append((left(factor * (1 + STEP), offset) - left(factor * (1 - STEP), offset)) / (2 * STEP * factor))
+        prior.append(1e-12)
+    if doubt:
+        step, there = 0.2 * doubt, WHOLE if at_least else factor
+        slopes.append((left(there, offset + step) - left(there, offset - step)) / (2 * step))
+        prior.append(1 / doubt**2)
+    if not slopes:
+        return np.inf, 0.0
+    design = np.array(slopes)
+    covariance = np.linalg.inv((design * weights) @ design.T + np.diag(prior))
+    common = covariance @ (design * weights).sum(axis=1)
+    sigmas = np.sqrt(np.diag(covariance + common_sigma_mm**2 * np.outer(common, common)))
+    return (np.inf if at_least else float(sigmas[0])), min(float(sigmas[-1]), doubt) if doubt else 0.0

@@ -150,7 +150,7 @@ def detect(
         found, surface = to_model.registration, to_model.surface
     else:
         found = register_pair(test, sample, viewpoints_mm, rng, clock, NAMES)
-    reading = _read_by(found, options)
+    reading = read_by(found, options.datum_mm, options.seed)
     found = replace(found, fine=reading.registration)
     difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
     clock.lap("difference")
@@ -173,11 +173,11 @@ def detect(
     )  # fmt: skip
 
 
-def _read_by(found: Registration, options: DetectOptions) -> FaceReading:
+def read_by(found: Registration, datum_mm: ArrayLike | None, seed: int) -> FaceReading:
     """The pose by the datum, where one is given, else by all faces but one that the others contradict."""
-    if options.datum_mm is None:
-        return read_faces(found.source, found.target, found.fine, options.seed)
-    fine, settled = refine_on_datum(found.source, found.target, found.fine, options.datum_mm)
+    if datum_mm is None:
+        return read_faces(found.source, found.target, found.fine, seed)
+    fine, settled = refine_on_datum(found.source, found.target, found.fine, datum_mm)
     return FaceReading(fine, (), True, settled, ())
 
 

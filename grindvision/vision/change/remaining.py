@@ -6,10 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import label, median_filter
 
 from grindvision.errors import InputError
-from grindvision.vision.change.stock import Floats, StockPiece
+from grindvision.vision.change.stock import Flags, Floats, StockPiece
+
+GOUGED_NODES = 9
+"""Fewer connected nodes below the surface are noise, no gouge."""
 
 MAX_HIDDEN = 0.05
 """A piece of which the scan does not show more than this fraction cannot be judged."""
@@ -68,7 +71,7 @@ def judge_remaining(piece: StockPiece, tolerance_mm: float) -> Remaining:
     areas = piece.map.areas_mm2
     over = known & (heights > tolerance_mm)
     below = (known | (piece.unchanged & np.isfinite(piece.map.heights_mm))) & (heights < -2 * piece.level_mm)
-    below |= known & (heights < -piece.level_mm)
+    below = _patches(below | known & (heights < -piece.level_mm))
     inside_mm2, hidden_mm2 = float(areas[piece.inside].sum()), float(areas[piece.inside & ~known].sum())
     top = int(np.where(known, heights, -np.inf).argmax()) if known.any() else 0
     mean = float((areas * heights)[known].sum() / areas[known].sum()) if known.any() else np.nan
@@ -87,6 +90,14 @@ def judge_remaining(piece: StockPiece, tolerance_mm: float) -> Remaining:
         hidden_mm2,
         hidden_mm2 <= MAX_HIDDEN * inside_mm2,
     )
+
+
+def _patches(marks: Flags) -> Flags:
+    """Nodes (R, C) of connected patches that are large enough to be told."""
+    numbers, count = label(marks, np.ones((3, 3)))
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    return np.asarray(sizes[numbers] >= GOUGED_NODES)
 
 
 def smoothed(piece: StockPiece) -> Floats:

@@ -40,7 +40,6 @@ def ground_points(
     true ones, a function of points and normals (K, 3) in the frame of the plan (left out: those that it holds).
     """
     fine = refined(plan.work.heights, times)
-    T_map_points = inverse(fine.T_scan_map) @ (np.eye(4) if T_test_points is None else T_test_points)
     before = np.nan_to_num(fine.heights_mm)
     if heights is not None:
         shown = fine.shown
@@ -52,11 +51,17 @@ def ground_points(
     )
     exact = replace(plan, work=replace(plan.work, heights=fine, inside=inside, keep=keep))
     *_, after = simulate_passes(exact, before, factor)
+    return lowered(points, fine, before - after, T_test_points)
+
+
+def lowered(points: Floats, grid: HeightMap, removed_mm: Floats, T_test_points: Floats | None = None) -> Floats:
+    """Points (N, 3) that go down along the ground's normals with what was removed (R, C) at their feet."""
+    T_map_points = inverse(grid.T_scan_map) @ (np.eye(4) if T_test_points is None else T_test_points)
     there = move_points(T_map_points, points)
     places = there[:, :2]
     for _ in range(2):  # the foot under a point
-        normals = np.nan_to_num(fine.at(fine.normals, places))
-        height = there[:, 2] - np.nan_to_num(fine.at(fine.ground_mm, places))
+        normals = np.nan_to_num(grid.at(grid.normals, places))
+        height = there[:, 2] - np.nan_to_num(grid.at(grid.ground_mm, places))
         places = there[:, :2] - height[:, None] * normals[:, :2]
-    taken = np.where(np.abs(height) < 5.0, np.nan_to_num(fine.at(before - after, places)), 0.0)
+    taken = np.where(np.abs(height) < 5.0, np.nan_to_num(grid.at(removed_mm, places)), 0.0)
     return move_points(inverse(T_map_points), there - taken[:, None] * normals)
