@@ -49,7 +49,7 @@ _RACES = (
 #: The groups of the contents on the left: caption -> pages; chapters are named by their two digits.
 _CONTENTS = {
     "The book": ("00", "evidence", "figures/scoreboard", "findings", "gallery", "scenes"),
-    "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09"),
+    "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09", "16"),
     "peng2020: welding": ("10", "11", "15"),
     "Your own scans and arm": ("12", "13", "14", "examples", "when_it_does_not_work"),
     "Teaching": ("teachers_guide", "lessons", "exercises"),
