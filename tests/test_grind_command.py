@@ -144,7 +144,7 @@ def test_a_robot_drives_the_passes(folder, capsys, tmp_path):
         "--robot", "ur3", "--program", "urscript", "--scanner-pose", tmp_path / "pose.json",
     )  # fmt: skip
     assert code == 0, err
-    text = (tmp_path / "out" / "grinding1.script").read_text()
+    text = (tmp_path / "out" / "grind1.script").read_text()
     assert text.count("  move") > 40 and (tmp_path / "out" / "passes_base.csv").is_file()
     (motion,) = json.loads((tmp_path / "out" / "report.json").read_text())["motion"]
     assert motion["position_error_mm"] < 0.01

@@ -1,38 +1,18 @@
 """Grinding passes over a height map: what is cut, what must stay, Preston's law, and what cannot be planned."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from grindvision.errors import InputError
-from grindvision.geometry.height_map import HeightMap
-from grindvision.motion.grinding import Workpiece, plan_grinding, preston_depth, simulate_passes
+from grindvision.motion.grinding import plan_grinding, preston_depth, simulate_passes
 from grindvision.motion.grinding_contact import envelope_of, lifts_over, nodes_of, tool_shape
 from grindvision.motion.grinding_options import PATTERNS, GrindingOptions
 from grindvision.motion.grinding_path import CUT, driven, tool_path
 from grindvision.motion.removal import learn_removal
-
-SPACING = 0.5
-
-
-def flat_work(height=None, size=(60.0, 30.0), bend_per_mm=0.0, keep=None, sigma=0.01):
-    """A bead along x on a cylinder about x (``bend_per_mm`` its curvature), height(x, y) over it."""
-    x, y = (np.arange(round(side / SPACING) + 1) * SPACING for side in size)
-    x, y = np.meshgrid(x, y, indexing="ij")
-    across = y - size[1] / 2
-    ground = 0.5 * bend_per_mm * across**2
-    normals = np.stack([np.zeros_like(x), -bend_per_mm * across, np.ones_like(x)], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    if height is None:
-        heights = 1.5 * np.clip(1 - (across / 2.5) ** 2, 0, None) * ((x > 15) & (x < 45))
-    else:
-        heights = height(x, y)
-    grid = HeightMap(np.eye(4), SPACING, ground, normals, heights)
-    inside = heights > 0.02
-    keep = np.zeros_like(inside) if keep is None else keep(x, y)
-    course = np.column_stack([np.linspace(15, 45, 40), np.full(40, size[1] / 2)])
-    return Workpiece(grid, inside, keep, 0.05, sigma, course)
+from tests.flat_stock import flat_work
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -209,3 +189,39 @@ def test_heights_that_are_no_numbers_are_refused():
 def test_settings_that_cannot_be_are_refused(setting):
     with pytest.raises(InputError):
         GrindingOptions(**setting)
+
+
+def test_nothing_is_planned_below_what_is_known_of_the_wheel():
+    work = flat_work()
+    blind = plan_grinding(replace(work, offset_sigma_mm=0.1), GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    assert blind.leave_mm >= 0.3 and blind.remaining_mm[blind.work.inside].max() >= 0.3
+    known = plan_grinding(replace(work, offset_mm=0.07, offset_sigma_mm=0.005), blind.options)
+    straight = plan_grinding(replace(work, offset_sigma_mm=0.005), blind.options)
+    lower = (tool_path(straight).points - tool_path(known).points)[:, 2]
+    assert np.allclose(lower, 0.07)  # sent lower by what it runs too high
+    with pytest.raises(InputError, match=r"offset is known to 1 mm only"):
+        plan_grinding(replace(work, offset_sigma_mm=1.0), blind.options)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5])
+@pytest.mark.parametrize("true_mm", [-0.12, 0.06])
+def test_the_wheel_s_offset_is_learnt_from_its_own_cut(rng, factor, true_mm):
+    work = replace(flat_work(), offset_sigma_mm=0.1)
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    *_, high = simulate_passes(plan, work.heights.heights_mm - true_mm, factor)
+    after = high + true_mm + rng.normal(scale=0.03, size=high.shape)
+    learnt = learn_removal(plan, after, np.full(high.shape, 0.03))
+    assert abs(learnt.offset_mm - true_mm) < 3 * learnt.offset_sigma_mm + 0.01 and learnt.offset_sigma_mm < 0.1
+    assert learnt.at_least == (factor > 1) and "the wheel ran" in str(learnt)
+    if factor < 1:
+        assert learnt.factor == pytest.approx(factor, rel=0.05)
+
+
+def test_a_patch_of_100_mm_is_covered_within_two_seconds():
+    work = flat_work(lambda x, y: np.full_like(x, 0.2), size=(100.0, 100.0))
+    options = GrindingOptions(pattern="raster", width_mm=6.0, depth_mm=0.2, leave_mm=0.02)
+    plan_grinding(flat_work(), options)  # compiles
+    started = time.process_time()
+    plan = plan_grinding(work, options)
+    assert time.process_time() - started < 2.0
+    assert plan.remaining_mm[work.inside].max() < 0.03 and not plan.unreached.any()

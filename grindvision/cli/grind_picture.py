@@ -114,11 +114,20 @@ def _rows(piece: StockPiece, plan: GrindingPlan | None, verdict: Remaining | Non
             ("tool", tool),
             ("passes", f"{len(plan.passes)} of {options.depth_mm:g} mm, pattern {options.pattern}"),
             ("to be left", f"{plan.leave_mm:.3f} mm"),
+            ("wheel", _zeroed(plan)),
             ("feed", f"{min(feeds):.3g} to {max(feeds):.3g} mm/s"),
             ("force", f"{min(forces):.3g} to {max(forces):.3g} N"),
             ("in contact", f"{plan.seconds:.0f} s"),
         ]
     return rows
+
+
+def _zeroed(plan: GrindingPlan) -> str:
+    """How it is known where the wheel meets the surface."""
+    work = plan.work
+    if work.offset_mm == work.offset_sigma_mm == 0:
+        return "to be touched off on the surface"
+    return f"{work.offset_mm:+.3f} +- {work.offset_sigma_mm:.2g} mm, not touched off"
 
 
 def _draw_piece(axes: np.ndarray, piece: StockPiece, plan: GrindingPlan | None) -> None:
@@ -167,6 +176,6 @@ def _map(axes: Axes, piece: StockPiece, heights: np.ndarray, top: float, title: 
         heights.T, origin="lower", extent=(-half, x[-1] + half, -half, y[-1] + half), cmap="RdBu_r", vmin=-top, vmax=top
     )
     axes.contour(x, y, piece.inside.T.astype(float), levels=[0.5], colors=GREY, linewidths=0.8)
-    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="mm")
+    axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.03, 1.0)), label="mm")
     axes.set(xlabel="along, mm", ylabel="across, mm")
     axes.set_title(title, fontsize=10)

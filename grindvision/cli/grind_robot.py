@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LANGUAGES = ("rapid", "krl", "ls", "jbi", "urscript")
 
 #: Names of all files that a programme may have; those of another language are removed.
-PROGRAM_FILES = tuple(f"grinding*.{ending}" for ending in ("script", "mod", "src", "dat", "ls", "jbi"))
+PROGRAM_FILES = tuple(f"grind*.{ending}" for ending in ("script", "mod", "src", "dat", "ls", "jbi"))
 
 #: Places of a programme along a cut are so far apart at least, mm.
 STEP_MM = 5.0
@@ -38,7 +38,7 @@ class GrindRobot:
     spin_free: bool
 
     def write(self, ways: list[ToolPath | None], points: np.ndarray, folder: Path) -> list[dict[str, Any]]:
-        """Write a programme for each piece that has a way, ``grinding1`` and so on; returns what report.json says."""
+        """Write a programme for each piece that has a way, ``grind1`` and so on; returns what report.json says."""
         from grindvision.geometry import move_points
         from grindvision.motion import (
             PlanMotionOptions,
@@ -63,7 +63,7 @@ class GrindRobot:
                 spin_free=self.spin_free,
             )
             motion = plan_motion(self.robot, path.trajectory(self.lead_angle_rad), settings)
-            named = RobotProgrammeOptions(f"grinding{piece}", placed=self.language != "urscript")
+            named = RobotProgrammeOptions(f"grind{piece}", placed=self.language != "urscript")
             texts = programme_files(grinding_programme(motion, path, named), self.language)
             for name, text in texts.items():
                 (folder / name).write_bytes(text.encode("ascii"))
@@ -74,7 +74,7 @@ class GrindRobot:
                     "files": sorted(texts),
                     "poses": len(path),
                     "position_error_mm": motion.path.position_error_mm.max(),
-                    "clearance_mm": motion.clearance.least_mm,
+                    "clearance_mm": motion.clearance.min_mm,
                 }
             )
         return facts
@@ -83,7 +83,7 @@ class GrindRobot:
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that ask for a robot's programme."""
     group = parser.add_argument_group("robot programme (needs --robot and --scanner-pose)")
-    group.add_argument("--robot", metavar="NAME|FILE", help="arm, see `grindvision robots`; adds DIR/grinding1.*")
+    group.add_argument("--robot", metavar="NAME|FILE", help="arm, see `grindvision robots`; adds DIR/grind1.*")
     group.add_argument("--program", choices=LANGUAGES, help="language of the programme (needed with --robot)")
     group.add_argument(
         "--tool",

@@ -35,8 +35,8 @@ KNOWN = 0.1
 MIN_REMOVED = 0.05
 """Less than this fraction of what was planned is nothing taken off."""
 
-TRIED_FACTORS, TRIED_OFFSETS = 18, 13
-"""So many factors, then offsets within three standard deviations, are tried before the best is refined."""
+TRIED_FACTORS, TRIED_OFFSETS = 18, 9
+"""So many factors, each with so many offsets within three standard deviations, are tried before the best is refined."""
 
 WHOLE = 2.0
 """With this factor every stroke ends on its path."""
@@ -101,9 +101,8 @@ def learn_removal(
         return float((weights * (after - left(factor, doubts * doubt)) ** 2).sum()) + doubts**2
 
     log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
-    found = np.array([min(log_factors, key=cost), 0.0])
-    if doubt:
-        found[1] = min(np.linspace(-3, 3, TRIED_OFFSETS), key=lambda doubts: cost(found[0], doubts))
+    tried = np.linspace(-3, 3, TRIED_OFFSETS) if doubt else [0.0]
+    found = np.array(min(((one, other) for one in log_factors for other in tried), key=lambda terms: cost(*terms)))
     free = 2 if doubt else 1
     found[:free] = _best(lambda terms: cost(*terms), found[:free])
     factor, offset = float(np.exp(found[0])), float(found[1]) * doubt

@@ -14,6 +14,7 @@ ORDER = (
     "read_a_cloud",
     "register_two_scans",
     "find_what_to_grind",
+    "grind_a_bead",
     "find_grooves",
     "weld_a_fillet",
     "torch_trajectory",
