@@ -111,7 +111,7 @@ def grind_again(
     tolerance_mm = options.tolerance_mm or 2 * pieces[0].level_mm
     judged = tuple(judge_remaining(piece, tolerance_mm) for piece in pieces)
     passes = options.passes(_with_learnt(job, learnt))
-    plans = []
+    plans = list[GrindingPlan | None]()
     for number, (piece, old, told, verdict) in enumerate(zip(pieces, job.plans, learnt, judged, strict=True), start=1):
         plans.append(None)
         if verdict.over_mm2 == 0:
@@ -119,8 +119,8 @@ def grind_again(
         work = workpiece(piece)
         if old is not None:
             offset, sigma = _offset(job, old, told, piece, T_new_test, options.T_base_scanner)
-            kept = {"keep": old.work.keep, "course_mm": old.work.course_mm}
-            work = replace(work, offset_mm=offset, offset_sigma_mm=sigma, **kept)
+            work = replace(work, keep=old.work.keep, course_mm=old.work.course_mm)
+            work = replace(work, offset_mm=offset, offset_sigma_mm=sigma)
         try:
             plans[-1] = plan_grinding(work, passes)
         except InputError as error:
@@ -176,10 +176,8 @@ def _offset(
         offset, sigma = offset + told.offset_mm, told.offset_sigma_mm
     if job.T_base_scanner is not None and T_base_scanner is not None:
         inside = piece.inside & piece.map.shown
-        T_base_before, T_base_now = (
-            job.T_base_scanner @ old.work.heights.T_scan_map,
-            T_base_scanner @ piece.map.T_scan_map,
-        )
+        T_base_before = np.asarray(job.T_base_scanner, dtype=float) @ old.work.heights.T_scan_map
+        T_base_now = np.asarray(T_base_scanner, dtype=float) @ piece.map.T_scan_map
         normals = rotate_vectors(T_base_before, piece.map.normals[inside])
         before = move_points(T_base_before, old.work.heights.feet_mm[inside])
         now = move_points(T_base_now, piece.map.feet_mm[inside])

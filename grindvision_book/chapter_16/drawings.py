@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import grindvision_book as book
@@ -99,7 +100,7 @@ def draw_limits(registered: pd.DataFrame, offsets: pd.DataFrame, wheels: pd.Data
     book.save_figure(fig, "ground_limits", drawn[columns].round(3), caption)
 
 
-def _left_and_gouge(axis: plt.Axes, x: pd.Series, rows: pd.DataFrame) -> None:
+def _left_and_gouge(axis: Axes, x: pd.Series, rows: pd.DataFrame) -> None:
     axis.plot(x, rows["left_95_mm"].clip(lower=0), "o-", color=AFTER, label="left on 95 % of the bead at most")
     axis.plot(x, rows["gouge_mm"], "o-", color=BEFORE, label="deepest cut below the surface")
 
