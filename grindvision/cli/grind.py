@@ -223,14 +223,8 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         )
         found = grind(sample, test, asked, work.finished)
         with work.stage("write"):
-            origin = {
-                "path": str(Path(options.sample).resolve()),
-                "sha256": sha256(options.sample),
-                "unit": options.unit,
-                "sample_unit": options.sample_unit,
-            }
             pieces = found.stock.pieces
-            job = job_of(found.T_sample_test, pieces, found.plans, settings, origin, T_base_scanner)
+            job = job_of(found.T_sample_test, pieces, found.plans, settings, _origin(options), T_base_scanner)
             write_job(work.place / PLAN_FILE, job, pieces)
             motion = write_ways(work.place, found.plans, T_base_scanner, robot, test)
         facts = {"serials": serials, "inputs": {path: sha256(path) for path in paths}}
@@ -263,6 +257,15 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         values = {"leave_mm": [None if plan is None else plan.leave_mm for plan in found.plans]}
         work.report(str(found), results, values, found.timings_s, shown, questions)
     return 0
+
+
+def _origin(options: argparse.Namespace) -> dict[str, str | None]:
+    """Where the good scan of a job is found again."""
+    from grindvision.files import sha256
+
+    path = str(Path(options.sample).resolve())
+    units = {"unit": options.unit, "sample_unit": options.sample_unit}
+    return {"path": path, "sha256": sha256(options.sample), **units}
 
 
 def _keep_out(options: argparse.Namespace) -> np.ndarray | None:

@@ -88,11 +88,16 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         questions = [size_question(("SAMPLE", "NEWSCAN"), clouds)]
         if T_base_scanner is not None:
             questions.append(where_it_stood(T_base_scanner))
-        lines = [f"piece {at}: {one}" for at, one in enumerate(judged, start=1)]
-        lines += [f"piece {at}: {one}" for at, one in enumerate(learnt, start=1) if one is not None]
-        lines += [f"piece {at}, the rest: {one}" for at, one in enumerate(plans, start=1) if one is not None]
-        work.report(message, results, {}, found.timings_s, "\n".join(lines), questions)
+        work.report(message, results, {}, found.timings_s, _shown(found), questions)
     return 3 if options.tolerance_mm is not None and not found.met else 0
+
+
+def _shown(found: GroundAgain) -> str:
+    """What the command says of each piece."""
+    lines = [f"piece {at}: {one}" for at, one in enumerate(found.judged, start=1)]
+    lines += [f"piece {at}: {one}" for at, one in enumerate(found.learnt, start=1) if one is not None]
+    lines += [f"piece {at}, the rest: {one}" for at, one in enumerate(found.plans, start=1) if one is not None]
+    return "\n".join(lines)
 
 
 def _facts(
