@@ -101,6 +101,16 @@ def test_a_good_part_has_nothing_to_grind():
         assert "nothing to grind above the level of detection of 0." in str(found)
 
 
+def test_a_coarse_test_scan_says_which_beads_it_would_not_show():
+    fine = pair(seed=3, n_points=60_000)
+    with pytest.warns(
+        GrindvisionWarning, match=r"stand 2\.\d times as far apart as the sample's: beads narrower than"
+    ) as caught:
+        found = detect(fine.sample, fine.test[::6])
+    assert found.beads == ()
+    assert f"{found.coverage.width_mm:.2g} mm would not be seen" in str(caught[0].message)
+
+
 def test_a_cavity_is_no_bead_but_is_said():
     dent = arc_bead(height_mm=-1.5)
     with pytest.warns(GrindvisionWarning, match=r"material is missing .* 1\.[45]. mm deep"):

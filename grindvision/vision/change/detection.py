@@ -31,6 +31,10 @@ Floats = NDArray[np.float64]
 
 STAGES = (*scan_registration.STAGES, "difference", "path")
 
+MUCH_COARSER, WIDE = 2.0, 0.05
+"""Where nothing stands out, it is said that the test scan is coarse: from so many times the sample's point spacing, or
+where the least width of a bead is more than this fraction of the scan's diagonal."""
+
 
 @by_content
 @dataclass(frozen=True)
@@ -196,7 +200,24 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
             f" in {len(places)} larger place(s), the largest {places[0]}: the sample shows nothing there, and what"
             " stands out there was not seen"
         )
+    if not difference.clusters and (coarse := _coarser(found, difference)):
+        said.append(coarse)
     return tuple(said)
+
+
+def _coarser(found: Registration, difference: Difference) -> str:
+    """In words, that the test scan is too coarse to show narrow beads; empty where it is not."""
+    source, target = found.source, found.target
+    per_cell = [len(scan.points) / len(scan.surfels) for scan in (target, source)]
+    times = 0.0 if target.sided else float(np.sqrt(per_cell[0] / per_cell[1]))
+    wide = difference.least_width_mm > WIDE * np.linalg.norm(np.ptp(source.surfels.points, axis=0))
+    if times < MUCH_COARSER and not wide:
+        return ""
+    beside = f" {times:.1f} times as far apart as the sample's" if times >= MUCH_COARSER else " far apart"
+    return (
+        f"the test scan's points stand{beside}: beads narrower than {difference.least_width_mm:.2g} mm would not be"
+        " seen; scan the test part more finely"
+    )
 
 
 def _follow(difference: Difference, points: int, one_face: bool) -> tuple[BeadPath, ...]:
