@@ -59,7 +59,7 @@ def small_motions(rng: np.random.Generator, count: int, sizes_mm: Floats, size_d
     return np.array([rigid(turn, shift) for turn, shift in zip(turns, shifts, strict=True)])
 
 
-def simulated_sequences(rng: np.random.Generator, count: int) -> tuple[dict[str, NDArray], dict[str, Floats]]:
+def simulated_sequences(rng: np.random.Generator, count: int) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """What racers get, all sequences one after the other with their lengths (count,), and the truth (count, 4, 4)."""
     made = [simulated_sequence(rng) for _ in range(count)]
     given = {

@@ -127,7 +127,8 @@ def _whitened(
         return rows * scale, J * scale[:, None]
     covariance = np.einsum("k,knij->nij", options.sizes, components(carrier, target, X, options.on_arm))
     root = np.linalg.cholesky(covariance)
-    return np.linalg.solve(root, rows[..., None])[..., 0], np.linalg.solve(root, J)
+    whitened = np.linalg.solve(root, np.concatenate([rows[..., None], J], axis=2)).astype(np.float64)
+    return whitened[..., 0], whitened[..., 1:]
 
 
 def _weights(sizes: Floats) -> Floats:

@@ -106,8 +106,7 @@ def _refined(
     """
     local = (points - frame[:3, 3]) @ frame[:3, :3]
     half = np.array(sides) / 2
-    wide = np.abs(local[:, :2]) <= 1.15 * half
-    on = wide.all(axis=1) & (np.abs(local[:, 2]) <= threshold)
+    on = (np.abs(local[:, :2]) <= 1.15 * half).all(axis=1) & (np.abs(local[:, 2]) <= threshold)
     if on.sum() < FEWEST_POINTS:
         return frame, (np.nan, np.nan), 0.0
     inner = on & (np.abs(local[:, :2]) <= 0.9 * half).all(axis=1)

@@ -158,8 +158,8 @@ def _where_found(
             refused.append(refusal)
     if refused and (2 * len(rows) < count or len(rows) < FEWEST_FOUND):
         raise refused[0]
-    for refusal in refused:
-        warnings.warn(f"left out: {refusal}", GrindvisionWarning, stacklevel=2)
+    for reason in refused:
+        warnings.warn(f"left out: {reason}", GrindvisionWarning, stacklevel=2)
     return found, rows
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 import grindvision_book as book
@@ -94,7 +95,7 @@ def draw_sections(looks: Mapping[str, Looked], caption: str) -> None:
         reach = np.array([0.0, 32.0])
         place.plot(reach, 0 * reach, color=COLOURS["ours"], lw=1.2)
         place.plot(reach * np.cos(angle), reach * np.sin(angle), color=COLOURS["ours"], lw=1.2, label="faces at root")
-        ring = plt.Circle((0, 0), 10 * seam.sigma_mm[station], fill=False, color=COLOURS["paper_variant"], lw=1.5)
+        ring = Circle((0, 0), 10 * seam.sigma_mm[station], fill=False, color=COLOURS["paper_variant"], lw=1.5)
         place.add_patch(ring)
         place.plot([], [], color=COLOURS["paper_variant"], label="root, 10 sigma")
         place.set(aspect="equal", xlabel="along one face (mm)", title=name, xlim=(-38, 38), ylim=(-14, 40))

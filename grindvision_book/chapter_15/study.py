@@ -19,7 +19,7 @@ from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 Floats = NDArray[np.float64]
 
 #: Cameras by the names that the table gives them, and how far they stand away, mm.
-CAMERAS: dict[str, tuple[type[Scanner], float]] = {
+CAMERAS: dict[str, tuple[type[cell.DepthCamera] | type[cell.StructuredLightScanner], float]] = {
     "D415": (cell.DepthCamera, 450.0),
     "structured light": (cell.StructuredLightScanner, 400.0),
 }
@@ -66,13 +66,15 @@ class Looked:
         return np.linalg.norm(off - (off * along).sum(axis=1)[:, None] * along, axis=1)
 
 
-def look(kind: str, seed: int, camera: Scanner | str = "D415", every: int = 1, **size: float) -> Looked:
-    """Scan a piece of a kind with sizes in mm, and look for its seam; the seed draws the view and the noise."""
-    instrument, distance = CAMERAS[camera] if isinstance(camera, str) else (None, 450.0)
+def look(kind: str, seed: int, camera: Scanner | str = "D415", every: int = 1, length_mm: float = 180.0) -> Looked:
+    """Scan a piece of a kind and a length, and look for its seam; the seed draws the view and the noise."""
     rng = np.random.default_rng(seed)
-    chosen = instrument(serial=seed + 1) if instrument is not None else camera
-    assert isinstance(chosen, Scanner)
-    scene = cell.joint_scene(kind, rng, cell.JointSize(**size), chosen, distance, every)
+    if isinstance(camera, str):
+        instrument, distance = CAMERAS[camera]
+        chosen: Scanner = instrument(serial=seed + 1)
+    else:
+        chosen, distance = camera, 450.0
+    scene = cell.joint_scene(kind, rng, cell.JointSize(length_mm=length_mm), chosen, distance, every)
     try:
         return Looked(kind, scene, find_seams(scene.points).seams[0])
     except NoGrooveError as error:

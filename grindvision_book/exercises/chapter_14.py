@@ -20,7 +20,8 @@ def motions(C_1: Floats, C_2: Floats, P_1: Floats, P_2: Floats) -> Floats:
 
 
 def _pose_pairs(rng: np.random.Generator) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    return [tuple(poses(rng, 4)) for _ in range(4)]
+    drawn = [poses(rng, 4) for _ in range(4)]
+    return [(C_1, C_2, P_1, P_2) for C_1, C_2, P_1, P_2 in drawn]
 
 
 def _motions(rng: np.random.Generator, count: int = 5) -> tuple[Floats, Floats]:
