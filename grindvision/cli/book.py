@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from grindvision.cli.streams import complain, say
+from grindvision.errors import GrindvisionError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seeds", type=int, metavar="N", help="run each chapter with N seeds and say for how many its assertions hold"
     )
     parser.add_argument("--site", action="store_true", help="build the HTML book in build/site afterwards")
+    parser.add_argument(
+        "--in-browser",
+        action="store_true",
+        help="with --site: build the exercises that run in the browser too (downloads about 80 MB once)",
+    )
     parser.add_argument(
         "--record-seconds", action="store_true", help="commit what the chapters took, for the time left of later builds"
     )
@@ -68,7 +75,8 @@ def _build(options: argparse.Namespace) -> int:
     if options.site:
         from grindvision_book.site import build_site
 
-        site = build_site(BUILD / "fast" if options.fast else BUILD, figures)
+        in_browser = _in_browser() if options.in_browser else None
+        site = build_site(BUILD / "fast" if options.fast else BUILD, figures, in_browser=in_browser)
         say(f"HTML book: {site}", str(figures))
     page.ended(site)
 
@@ -78,6 +86,18 @@ def _build(options: argparse.Namespace) -> int:
     if options.record_seconds:
         record_seconds({o.chapter[:2]: o.seconds for o in outcomes if not o.failure}, options.fast)
     return 1 if failed else 0
+
+
+def _in_browser() -> Path | None:
+    """The exercises that run in the browser, or none where they cannot be built: then the pages offer downloads."""
+    from grindvision_book.machinery.places import BUILD
+    from grindvision_book.site.in_browser import build_in_browser
+
+    try:
+        return build_in_browser(BUILD / "lite")
+    except GrindvisionError as error:
+        complain(f"grindvision book: no exercises in the browser, the pages offer downloads instead: {error}")
+        return None
 
 
 def _with_seeds(options: argparse.Namespace) -> int:

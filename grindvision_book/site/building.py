@@ -23,6 +23,7 @@ from grindvision_book.site.evidence_page import evidence_page
 from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
+from grindvision_book.site.in_browser import IN_BROWSER, in_browser_link
 from grindvision_book.site.pictures import figures_in, light_copies, lightened, tables_in
 from grindvision_book.site.playbacks import Playback
 from grindvision_book.site.reference import write_reference
@@ -69,6 +70,7 @@ def build_site(
     site: Path = SITE,
     scenes: Sequence[Scene | Playback] = SCENES,
     reference: bool = True,
+    in_browser: Path | None = None,
 ) -> Path:
     """Build the pages and return the path of the first one; pages whose sources have not changed stay as they are.
 
@@ -79,24 +81,28 @@ def build_site(
         site: folder of the pages.
         scenes: 3D scenes to draw.
         reference: whether to draw the pages of the package's reference.
+        in_browser: the exercises that run in the browser, as ``build_in_browser`` returns them, or none.
 
     Raises:
         GrindvisionError: Sphinx cannot build them; the message has its reason.
     """
+    asked = f"{[scene.name for scene in scenes]} {reference} {in_browser and _digest_of(in_browser)}"
     record, inputs = (
         site.with_name(f"{site.name}_made.json"),
-        _inputs(build / "executed", figures, notebooks, f"{[scene.name for scene in scenes]} {reference}"),
+        _inputs(build / "executed", figures, notebooks, asked),
     )
     if _read_record(record) == {"inputs": inputs, "pages": _digest_of(site)}:
         return site / "index.html"
     sources, extra = build / "site_sources", build / "site_extra"
     shutil.rmtree(extra, ignore_errors=True)
-    light = _gather(sources, build / "executed", figures, notebooks, scenes)
+    light = _gather(sources, build / "executed", figures, notebooks, scenes, in_browser is not None)
     for scene in scenes:
         page = scene.write(sources / "scenes")
         (extra / "scenes").mkdir(parents=True, exist_ok=True)
         shutil.move(page, extra / "scenes" / page.name)
     shutil.copytree(notebooks, extra / "downloads", ignore=_no_chapter_or_exercise, dirs_exist_ok=True)
+    if in_browser:
+        shutil.copytree(in_browser, extra / "lite")
     if reference:
         write_reference(sources / "api")
     _write_index(sources, light)
@@ -177,7 +183,12 @@ def _read_record(record: Path) -> object:
 
 
 def _gather(
-    sources: Path, executed: Path, figures: Path, notebooks: Path, scenes: Sequence[Scene | Playback]
+    sources: Path,
+    executed: Path,
+    figures: Path,
+    notebooks: Path,
+    scenes: Sequence[Scene | Playback],
+    in_browser: bool,
 ) -> dict[str, str]:
     """Lay out the sources like the checkout, so that every relative link means the same in both.
 
@@ -216,8 +227,14 @@ def _gather(
     if exercises:
         for exercise in exercises:
             notebook = nbformat.read(exercise, as_version=4)
-            links_cell = new_markdown_cell(notebook_links(f"exercises/{exercise.name}", "../../", address), id="take")
-            notebook.cells.insert(1, links_cell)
+            runs = in_browser and exercise.name[:2] in IN_BROWSER
+            offers = notebook_links(
+                f"exercises/{exercise.name}",
+                "../../",
+                address,
+                in_browser_link(exercise.name, "../../") if runs else "",
+            )
+            notebook.cells.insert(1, new_markdown_cell(offers, id="take"))
             (sources / "notebooks" / "exercises").mkdir(exist_ok=True)
             nbformat.write(notebook, sources / "notebooks" / "exercises" / exercise.name)
     for text in (*_TEXTS, *_LINKED):
@@ -233,7 +250,7 @@ def _gather(
     pages["evidence.md"] = evidence_page(board)
     pages["examples.md"] = examples_page()
     if exercises:
-        pages["exercises.md"] = _exercises_page([path.stem for path in exercises])
+        pages["exercises.md"] = _exercises_page([path.stem for path in exercises], in_browser)
     if scenes:
         pages["scenes.md"] = scenes_page(scenes, titles, drawn)
     for name, text in pages.items():
@@ -241,7 +258,8 @@ def _gather(
     return light
 
 
-def _exercises_page(names: Sequence[str]) -> str:
+def _exercises_page(names: Sequence[str], in_browser: bool) -> str:
+    here = [name for name in names if name[:2] in IN_BROWSER] if in_browser else []
     return "\n".join(
         [
             "# Exercises",
@@ -250,6 +268,9 @@ def _exercises_page(names: Sequence[str]) -> str:
             "comes a check that tries your function on inputs you do not see, and names the likely mistake. Solutions "
             "lie in `notebooks/solutions`.",
             "",
+            *(_EXERCISES_HERE if here else _EXERCISES_NOT_HERE),
+            *(f"- {name[:2]}: {in_browser_link(f'{name}.ipynb', '')}" for name in here),
+            "",
             "```{toctree}",
             "",
             *(f"notebooks/exercises/{name}" for name in names),
@@ -257,6 +278,18 @@ def _exercises_page(names: Sequence[str]) -> str:
             "",
         ]
     )
+
+
+_EXERCISES_HERE = (
+    "**Without installing anything.** These run in the browser, checker included; nothing is sent anywhere, and your "
+    "browser keeps what you write. The first call loads about 50 MB and takes half a minute. The pages have to come "
+    "from a web server (`python -m http.server --directory build/site`), not from a file.",
+    "",
+)
+_EXERCISES_NOT_HERE = (
+    "This copy of the book was built without the exercises that run in the browser (`./run site --in-browser` builds "
+    "them); download the notebooks instead.",
+)
 
 
 def _write_index(sources: Path, light: dict[str, str]) -> None:
