@@ -9,6 +9,7 @@ from grindvision.errors import FileError
 from grindvision_book.machinery.answers import scoreboard
 from grindvision_book.machinery.places import FIGURES, ROOT
 from grindvision_book.machinery.readme import README, scoreboard_block, write_readme
+from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
 
 
 def test_the_block_is_the_committed_scoreboard():
@@ -54,3 +55,15 @@ def test_every_file_that_the_walk_through_the_rooms_names_is_there():
     named = re.findall(r"`([a-z_/]+\.py)`", walk)
     assert len(named) > 50
     assert [name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)] == []
+
+
+def test_what_the_papers_got_wrong_is_what_the_print_says():
+    said = " ".join(
+        README.read_text(encoding="utf-8").split("## What the papers got wrong")[1].split("\n## ")[0].split()
+    )
+    numbers = printed_numbers() | rebuilt_numbers(FIGURES)
+    assert f"{numbers['motion_rms_um']:.2f} µm rms" in said
+    assert f"{numbers['off_least_deg']:.0f} to {numbers['off_most_deg']:.0f} deg" in said
+    assert f"{numbers['length_least']:.2f} to {numbers['length_most']:.2f};" in said
+    assert numbers["centre_rank"] == 4 and numbers["heights"] == 5 and "the centre is fourth of five" in said
+    assert numbers["rank_before"] == 20 and "Of 23 calibration parameters sphere centres determine 20" in said

@@ -24,12 +24,15 @@ from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
 from grindvision_book.site.in_browser import IN_BROWSER, in_browser_link
-from grindvision_book.site.pictures import figures_in, light_copies, lightened, tables_in
+from grindvision_book.site.pictures import dark_copies, figures_in, light_copies, lightened, tables_in
 from grindvision_book.site.playbacks import Playback
 from grindvision_book.site.reference import write_reference
 from grindvision_book.site.scenes import FIRST_SCENE, SCENES, Scene, scene_link, scene_markdown, scenes_page
 
 SOURCES = Path(__file__).parents[1] / "site_sources"
+
+#: What a link to a page without a picture of its own shows where it is shared.
+SHARED_FIGURE = "table4_scene"
 
 _DECISIONS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs" / "decisions").glob("*.md")))
 _TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md", *_DECISIONS)
@@ -96,6 +99,9 @@ def build_site(
     sources, extra = build / "site_sources", build / "site_extra"
     shutil.rmtree(extra, ignore_errors=True)
     light = _gather(sources, build / "executed", figures, notebooks, scenes, in_browser is not None)
+    dark_copies(sources / "figures", extra / "_images" / "dark", light)
+    (extra / "_static").mkdir()
+    shutil.copyfile(FIGURES / f"{SHARED_FIGURE}.png", extra / "_static" / "share.png")
     for scene in scenes:
         page = scene.write(sources / "scenes")
         (extra / "scenes").mkdir(parents=True, exist_ok=True)

@@ -30,7 +30,8 @@ def printed_numbers() -> Numbers:
     points, normals = paper.path_points(3)
     points_base, triples = paper.path_points(4)
     fit = geometry.fit_rigid(points, points_base)
-    longer = np.linalg.norm(points_base[-1] - points_base[0]) / np.linalg.norm(points[-1] - points[0])
+    about_base, about_scanner = (p - p.mean(axis=0) for p in (points_base, points))
+    longer = np.linalg.norm(about_base) / np.linalg.norm(about_scanner)
     tangents = np.gradient(points, axis=0)
     as_printed, mended = (
         np.abs(np.degrees(geometry.vector_angle(normals * signs, tangents)) - 90) for signs in ([1, 1, 1], [-1, -1, 1])

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 #: A drawing in SVG that is heavier than this many bytes is shown as a WebP picture instead.
 HEAVY_BYTES = 75_000
@@ -15,6 +23,12 @@ HEAVY_BYTES = 75_000
 WIDEST_PX = 1200
 
 _QUALITY = 55
+
+#: Brightness of the ground of dark figures, and of what is black in light ones.
+DARK, BRIGHT = 20, 222
+
+#: Colours whose channels differ by no more are grey.
+_GREY = 24
 
 
 @dataclass(frozen=True)
@@ -47,6 +61,40 @@ def light_copies(folder: Path) -> dict[str, str]:
         light[path.name] = f"{path.stem}_moving.webp"
         _write_animation(path, folder / light[path.name])
     return light
+
+
+def dark_copies(folder: Path, target: Path, light: Mapping[str, str]) -> None:
+    """Write each drawing as the pages show it, with light lines on a dark ground; colours with a hue stay as they are.
+
+    Args:
+        folder: of the figures.
+        target: folder for the copies, of the same names.
+        light: as ``light_copies`` returns it.
+    """
+    target.mkdir(parents=True, exist_ok=True)
+    for path in sorted(folder.glob("*.svg")):
+        shown = light.get(path.name, path.name)
+        if shown == path.name:
+            (target / shown).write_text(dark_svg(path.read_text(encoding="utf-8")), encoding="utf-8")
+        else:
+            _write_dark_picture(folder / shown, target / shown)
+
+
+def dark_svg(svg: str) -> str:
+    """A drawing of Matplotlib with greys from white to black turned into greys from ``DARK`` to light."""
+
+    def turned(match: re.Match[str]) -> str:
+        red, green, blue = (int(match[1][k : k + 2], 16) for k in (0, 2, 4))
+        if max(red, green, blue) - min(red, green, blue) > _GREY:
+            return match[0]
+        return f"#{round(_on_dark(red)):02x}{round(_on_dark(green)):02x}{round(_on_dark(blue)):02x}"
+
+    # Text with a colour of its own (a group that is moved to its place) was made for what is behind it.
+    drawing = re.sub(r'#([0-9a-fA-F]{6})\b(?!" transform=)', turned, svg)
+    drawing = re.sub(r'(data:image/png;base64,)([^"]+)', _dark_layer, drawing)
+    # What has no fill of its own, such as text, is black.
+    text = f"{round(_on_dark(0)):02x}"
+    return drawing.replace("<svg ", f'<svg fill="#{3 * text}" ', 1)
 
 
 def figures_in(folder: Path, light: Mapping[str, str]) -> dict[str, Figure]:
@@ -98,3 +146,34 @@ def _write_animation(gif: Path, webp: Path) -> None:
         duration_ms = picture.info.get("duration", 100)
         first, *others = [frame.convert("RGB") for frame in ImageSequence.Iterator(picture)]
     first.save(webp, save_all=True, append_images=others, duration=duration_ms, loop=0, quality=40)
+
+
+def _on_dark(grey: float) -> float:
+    return BRIGHT + (DARK - BRIGHT) * grey / 255
+
+
+def _darkened(picture: Image.Image) -> Image.Image:
+    """A picture (RGBA) whose greys are turned, and whose other colours stay."""
+    from PIL import Image
+
+    pixels = np.asarray(picture.convert("RGBA")).astype(np.float32)
+    colours = pixels[..., :3]
+    hue = np.clip((colours.max(axis=-1) - colours.min(axis=-1)) / (2 * _GREY), 0, 1)[..., None]
+    pixels[..., :3] = hue * colours + (1 - hue) * (BRIGHT + (DARK - BRIGHT) * colours / 255)
+    return Image.fromarray(pixels.round().astype(np.uint8), "RGBA")
+
+
+def _dark_layer(match: re.Match[str]) -> str:
+    from PIL import Image
+
+    layer = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(match[2]))) as picture:
+        _darkened(picture).save(layer, format="PNG")
+    return match[1] + base64.b64encode(layer.getvalue()).decode()
+
+
+def _write_dark_picture(light: Path, dark: Path) -> None:
+    from PIL import Image
+
+    with Image.open(light) as picture:
+        _darkened(picture).convert("RGB").save(dark, quality=_QUALITY)

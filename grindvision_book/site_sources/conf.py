@@ -1,9 +1,16 @@
 """Sphinx settings of the HTML book: already executed chapters, everything served from the page's own folder."""
 
+import os
 import re
 from pathlib import Path
+from typing import Any
 
+from docutils import nodes
 from sphinx.application import Sphinx
+
+ABOUT = (
+    "A reproducible experiment book of two robot-vision papers: 3D vision for grinding, groove detection for welding"
+)
 
 project = "grindvision"
 author = "grindvision contributors"
@@ -74,7 +81,23 @@ def setup(app: Sphinx) -> None:
     """Choose the parts of MathJax, and leave out the theme's icon library: the style sheet draws the few in use."""
     app.config.mathjax_path = "mathjax/startup.js"
     app.connect("autodoc-process-signature", _with_plain_aliases)
-    app.connect("build-finished", _without_icon_library)
+    app.connect("html-page-context", _about_the_page)
+    app.connect("build-finished", _finish_pages)
+
+
+def _about_the_page(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    """What a page that is shared shows: its first paragraph of some length, and its first picture.
+
+    The picture's address is whole where ``GRINDVISION_SITE_URL`` says where the site will stand; relative ones are not
+    followed by the services that show it.
+    """
+    paragraphs = (node.astext().replace("\n", " ") for node in tree.findall(nodes.paragraph)) if tree else iter(())
+    about = next((text for text in paragraphs if len(text) > 80), ABOUT)
+    pictures = (node["uri"] for node in tree.findall(nodes.image)) if tree else iter(())
+    pictures = (f"_images/{app.env.images[uri][1]}" for uri in pictures if uri in app.env.images)
+    pictures = (picture for picture in pictures if not picture.endswith(".svg"))
+    context["page_about"] = about if len(about) < 200 else about[:197].rsplit(" ", 1)[0] + "..."
+    context["page_picture"] = os.environ.get("GRINDVISION_SITE_URL", "") + next(pictures, "_static/share.png")
 
 
 def _with_plain_aliases(
@@ -88,15 +111,22 @@ def _with_plain_aliases(
     return plain(signature), plain(returned)
 
 
-def _without_icon_library(app: Sphinx, error: Exception | None) -> None:
+def _finish_pages(app: Sphinx, error: Exception | None) -> None:
+    """Finish the pages: without the icon library, and with the address of a figure's dark copy where there is one."""
     if error is None:
         for name in ("fontawesome.js", "fontawesome.js.map"):
             script = Path(app.outdir) / "_static" / "scripts" / name
             if script.exists():
                 script.write_text("/* the icons are drawn by book.css */\n", encoding="utf-8")
+        dark = {picture.name for picture in (Path(app.outdir) / "_images" / "dark").glob("*")}
+
+        def with_dark(match: re.Match[str]) -> str:
+            return f'{match[0]} data-dark="{match[1]}dark/{match[2]}"' if match[2] in dark else match[0]
+
         # The theme's release for Python 3.10 links the library's fonts instead.
         for page in Path(app.outdir).glob("**/*.html"):
             text = page.read_text(encoding="utf-8")
             lighter = re.sub(r"\s*<(?:link|script)[^>]*vendor/fontawesome[^>]*>(?:</script>)?", "", text)
+            lighter = re.sub(r'(?<= )src="([^"]*_images/)([\w.]+)"', with_dark, lighter)
             if lighter != text:
                 page.write_text(lighter, encoding="utf-8")

@@ -23,6 +23,7 @@ function enlargePictures() {
       const large = new Image();
       large.src = picture.dataset.full || picture.src;
       large.alt = picture.alt;
+      large.classList.toggle("dark", Boolean(picture.dataset.dark));
       dialog.replaceChildren(large);
       dialog.showModal();
     });
@@ -124,7 +125,20 @@ function fitFormulas() {
   window.addEventListener("resize", fit);
 }
 
+// Figures have a dark copy, shown while the page is dark.
+function followTheme() {
+  const pictures = [...document.querySelectorAll("img[data-dark]")];
+  for (const picture of pictures) picture.dataset.light = picture.getAttribute("src");
+  const show = () => {
+    const wanted = document.documentElement.dataset.theme === "dark" ? "dark" : "light";
+    for (const picture of pictures) picture.src = picture.dataset[wanted];
+  };
+  show();
+  new MutationObserver(show).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+}
+
 document.addEventListener("DOMContentLoaded", () => {
+  followTheme();
   enlargePictures();
   openScenes();
   foldCode();
