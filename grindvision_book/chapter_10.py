@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,28 @@ def overlap_percent(found: ArrayLike, truth: ArrayLike) -> float:
 def sample_rows(count: int, wanted: int) -> NDArray[np.int64]:
     """About ``wanted`` row numbers spread evenly over ``count`` rows in a scrambled order, the same every time."""
     return np.sort(np.random.default_rng(0).permutation(count)[:wanted])
+
+
+def even_rows(points: ArrayLike, wanted: int) -> NDArray[np.int64]:
+    """About ``wanted`` rows of points (N, 3), one for each square of a lattice over x and y."""
+    places = np.asarray(points, dtype=float)[:, :2]
+    side = np.sqrt(np.prod(np.ptp(places, axis=0)) / wanted)
+    away = np.abs((places / side) % 1 - 0.5).max(axis=1)
+    nearest = np.argsort(away, kind="stable")
+    _, first = np.unique(np.floor(places[nearest] / side), axis=0, return_index=True)
+    return np.sort(nearest[first])
+
+
+def painted(names: ArrayLike, colours: Mapping[str, str], normals: ArrayLike) -> Floats:
+    """Colours (N, 3) of points by the name of their group; "neither" is grey, shaded by the normals (N, 3)."""
+    from matplotlib.colors import to_rgb
+
+    names = np.asarray(names)
+    result = np.array([to_rgb(colours[name]) for name in names.tolist()])
+    bare = names == "neither"
+    light = np.array([-0.5, -0.6, -0.62])
+    result[bare] = 0.5 + 0.42 * np.abs(np.asarray(normals)[bare] @ light)[:, None]
+    return result
 
 
 def draw_cloud(

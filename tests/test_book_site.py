@@ -1,6 +1,7 @@
 """The HTML book as files: complete, readable without its own scripts, and with no dead link; no browser needed."""
 
 import re
+import zipfile
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -17,7 +18,7 @@ from grindvision_book.site.chapter_pages import scoreboard_html
 from grindvision_book.site.downloads import notebook_links
 from grindvision_book.site.evidence_page import strip
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
-from grindvision_book.site.pictures import HEAVY_BYTES, light_copies, lightened, tables_in
+from grindvision_book.site.pictures import HEAVY_BYTES, dark_svg, light_copies, lightened, tables_in
 from grindvision_book.site.scenes import SCENES
 from tests.built_site import SAID, Page
 
@@ -228,3 +229,30 @@ def test_workflows_are_valid_and_pin_their_actions(name):
     assert {"pages": "./run site", "tests": ".ci/run"}[name] in commands
     scripts = re.findall(r"\./?(\S+)", commands)
     assert all((ROOT / script).exists() for script in scripts if script in ("run", ".ci/run"))
+
+
+def test_every_figure_of_a_chapter_has_a_dark_copy_and_a_page_that_is_shared_shows_a_picture(whole_site):
+    page = text_of(whole_site, "notebooks/05_registering_two_scans.html")
+    for light, dark in re.findall(r'src="(\.\./_images/\w+\.\w+)" data-dark="([^"]+)"', page):
+        assert Path(light).name == Path(dark).name and (whole_site / "notebooks" / dark).is_file()
+    assert page.count("data-dark=") >= 5
+    for name in ("index.html", "notebooks/02_how_well_does_it_measure.html", "glossary.html"):
+        head = text_of(whole_site, name).split("</head>")[0]
+        shown = re.search(r'og:image" content="([^"]+)"', head)
+        assert shown and (whole_site / shown[1]).is_file(), name
+        assert re.search(r'og:title" content="\w', head) and re.search(r'og:description" content="[^"]{60,200}"', head)
+
+
+def test_a_dark_drawing_turns_greys_and_keeps_colours():
+    drawing = '<svg x="1"><path style="fill: #ffffff; stroke: #000000"/><path style="fill: #d55e00"/>'
+    drawing += '<g style="fill: #ffffff" transform="scale(1)"/></svg>'
+    dark = dark_svg(drawing)
+    assert '<svg fill="#dedede" x="1">' in dark and 'style="fill: #141414; stroke: #dedede"' in dark
+    assert "#d55e00" in dark and '<g style="fill: #ffffff" transform' in dark
+
+
+def test_the_data_of_the_papers_can_be_handed_out(whole_site):
+    with zipfile.ZipFile(whole_site / "downloads" / "grindvision-data.zip") as archive:
+        names = set(archive.namelist())
+        assert archive.read("data/paper/diao2018_table3.csv") == (ROOT / "data/paper/diao2018_table3.csv").read_bytes()
+    assert "data/README.md" in names and not any("synthetic" in name for name in names)

@@ -1,6 +1,7 @@
 """The exercises: masters are right, stubs are "not yet", every planted mistake gets its own hint, copies are fresh."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 import grindvision_book as book
 from grindvision.errors import FileError, InputError
 from grindvision_book.exercises.checking import SLIPS, Exercise, exercises_of
-from grindvision_book.exercises.guide import FIRST, GUIDE, LAST, mistakes_block, write_guide
+from grindvision_book.exercises.guide import DIFFICULTY, FIRST, GUIDE, LAST, mistakes_block, stars, write_guide
 from grindvision_book.exercises.student_copies import MASTERS, STUDENTS, student_copy, write_student_copies
 from grindvision_book.machinery.chapters import chapters
 
@@ -176,3 +177,11 @@ def test_a_check_leaves_the_cases_as_they_were_and_refuses_what_is_no_function()
         book.check("03-99", np.eye)
     with pytest.raises(InputError, match="no exercises"):
         book.check("77-1", np.eye)
+
+
+def test_the_lessons_give_an_exercise_the_difficulty_of_the_guide() -> None:
+    lessons = GUIDE.with_name("lessons.md").read_text(encoding="utf-8")
+    said = re.findall(r"(\d\d-\d) \((★+)\)", lessons)
+    assert len(said) >= 8 and all(stars(number) == given for number, given in said)
+    judged = {chapter: len(digits) for chapter, digits in DIFFICULTY.items()}
+    assert judged == {chapter: len(exercises_of(chapter)) for chapter in judged}

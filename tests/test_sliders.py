@@ -63,3 +63,18 @@ def test_a_slider_that_cannot_show_anything_is_refused(folder: Path) -> None:
         book.slider(draw, [1, 2], "slider_test", "exponent", "A caption")
     with pytest.raises(InputError, match=r"\[9\]"):
         book.slider(draw, [1, 2, 3], "slider_test", "exponent", "A caption", strip=[1, 9])
+
+
+def test_the_pictures_of_a_page_share_one_scale_and_the_middle_one_is_shown():
+    drawn = []
+
+    def draw(axes, value):
+        axes.plot([0, value], [0, -value])
+        drawn.append(axes)
+        return pd.DataFrame({"size_mm": [value]})
+
+    page = sliders.frames_html(draw, [1, 2, 3], "edge, mm", 'A "caption"')
+    assert {axes.get_xlim() for axes in drawn} == {drawn[2].get_xlim()}
+    assert len({axes.get_ylim() for axes in drawn}) == 1
+    assert page.count("<img ") == 3 and page.count(" hidden>") == 2
+    assert "<output>edge 2 mm</output>" in page and 'A "caption"' not in page

@@ -51,7 +51,8 @@ def draw_figure_7(
         path, path_normals: (K, 3), frame of the test scan.
     """
     from matplotlib import pyplot as plt
-    from matplotlib.colors import to_rgb
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize, to_rgb
 
     view = _view(sample)
     some, few = _some(sample), _some(test)
@@ -76,12 +77,12 @@ def draw_figure_7(
     found = move_points(T_accurate, difference)
     height = distances_mm(found, sample)
     _surface(axes[3], points, normals, np.full((len(points), 3), 0.82), view, size=18.0)
-    axes[3].scatter(*(found @ view[:2].T).T, c=_colours(height), s=5, linewidths=0, rasterized=True)
+    _dots(axes[3], found @ view.T, _colours(height), size=5)
     axes[3].set_title("(d) the difference on the good part", fontsize=11)
     frames.append(_rows("d", "difference", found, height))
     _path(axes[4], found, height, move_points(T_accurate, path), rotate_vectors(T_accurate, path_normals), view)
     frames.append(_rows("e", "path", move_points(T_accurate, path)))
-    bar = plt.cm.ScalarMappable(plt.Normalize(-FULL_MM, FULL_MM), "coolwarm")
+    bar = ScalarMappable(Normalize(-FULL_MM, FULL_MM), "coolwarm")
     fig.colorbar(
         bar, ax=axes, location="right", shrink=0.5, aspect=30, label="test scan above the sample's surface, mm"
     )
@@ -116,9 +117,13 @@ def _surface(axes: Axes, points: Floats, normals: Floats, colours: Floats, view:
     order = np.argsort(seen[:, 2])
     brightness = 0.45 + 0.55 * np.abs(normals @ view.T @ _LIGHT)
     shaded = np.clip(colours * brightness[:, None], 0, 1)
-    axes.scatter(*seen[order, :2].T, c=shaded[order], s=size, marker="s", linewidths=0, rasterized=True)
+    _dots(axes, seen[order], shaded[order], size)
     axes.set_aspect("equal")
     axes.axis("off")
+
+
+def _dots(axes: Axes, places: Floats, colours: Floats, size: float) -> None:
+    axes.scatter(places[:, 0], places[:, 1], c=colours, s=size, marker="s", linewidths=0, rasterized=True)
 
 
 def _path(axes: Axes, found: Floats, height: Floats, path: Floats, normals: Floats, view: Floats) -> None:
@@ -127,7 +132,7 @@ def _path(axes: Axes, found: Floats, height: Floats, path: Floats, normals: Floa
     along /= np.linalg.norm(along)
     up = normals.mean(axis=0) - (normals.mean(axis=0) @ along) * along
     side = np.array([along * np.sign(along @ view[0]), up / np.linalg.norm(up)])
-    axes.scatter(*(found @ side.T).T, c=_colours(height), s=9, linewidths=0, rasterized=True)
+    _dots(axes, found @ side.T, _colours(height), size=9)
     axes.plot(*(path @ side.T).T, "o", color=COLOURS["ours"], markersize=7)
     for start, end in zip(path @ side.T, (path + 5 * normals) @ side.T, strict=True):
         axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": COLOURS["ours"]})

@@ -47,7 +47,7 @@ def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> Non
     _draw(fig, svg, folder / f"{name}.png", {"Title": name, "Description": caption})
     write_text(folder / f"{name}.csv", csv_text(data))
     plt.close(fig)
-    if shell := _notebook():
+    if shell := shown_in():
         shell.display(shell.SVG(filename=str(svg)), shell.Markdown(f"*{caption}*"))
 
 
@@ -110,7 +110,7 @@ def save_table(table: pd.DataFrame, name: str, caption: str) -> None:
     text = markdown_table(table)
     write_text(folder / f"{name}.csv", csv_text(table))
     write_text(folder / f"{name}.md", f"{text}\n\n*{caption}* (chapter {current_chapter()})\n")
-    if shell := _notebook():
+    if shell := shown_in():
         shell.display(shell.Markdown(f"{text}\n\n*{caption}*"))
 
 
@@ -143,7 +143,7 @@ def _check(name: str, data: pd.DataFrame, caption: str) -> None:
         raise InputError(f"{name}: the caption is empty; state frame, unit and origin")
 
 
-def _notebook() -> ModuleType | None:
+def shown_in() -> ModuleType | None:
     """``IPython.display`` inside a notebook or IPython session, else None."""
     if "IPython" not in sys.modules or sys.modules["IPython"].get_ipython() is None:
         return None

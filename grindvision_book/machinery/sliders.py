@@ -1,18 +1,25 @@
-"""One parameter to be felt: a slider over a picture in a live notebook, a strip of pictures anywhere else."""
+"""One parameter to move: a slider over a picture in a live notebook, and over finished pictures on a page.
+
+Files hold a strip of a few pictures side by side.
+"""
 
 from __future__ import annotations
 
+import base64
+import html
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from grindvision.errors import InputError
-from grindvision_book.machinery.figures import save_figure
+from grindvision_book.machinery.figures import save_figure, shown_in
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Width and height in inches of one picture of a strip, and of the picture under a slider.
 STRIP_PICTURE, SLIDER_PICTURE = (1.95, 2.1), (5.6, 4.0)
@@ -29,7 +36,8 @@ def slider(
     """Let a reader move one parameter and see what becomes of a picture.
 
     Where somebody sits before the notebook, a slider redraws one picture. Where nobody does (book, tests, HTML), the
-    pictures of a few values stand side by side, and are saved like any other figure.
+    pictures of a few values stand side by side and are saved like any other figure, and the executed notebook gets the
+    pictures of all values under a slider of the page, which needs no kernel.
 
     Args:
         draw: draws the picture of one value into the axes, and returns what it draws, units in the column names.
@@ -50,6 +58,43 @@ def slider(
         _show_slider(draw, values, label)
     else:
         _save_strip(draw, strip or [values[k * (len(values) - 1) // 3] for k in range(4)], name, label, caption)
+        if shell := shown_in():
+            shell.display(shell.HTML(frames_html(draw, values, label, caption)))
+
+
+def frames_html(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], label: str, caption: str) -> str:
+    """HTML with the pictures of all values, of one scale, and a slider that chooses one; arguments as in ``slider``."""
+    import matplotlib.pyplot as plt
+
+    figures = []
+    for value in values:
+        fig, axes = plt.subplots(figsize=SLIDER_PICTURE)
+        draw(axes, value)
+        figures.append(fig)
+    _same_scale(figures)
+    quantity, _, unit = label.partition(", ")
+    middle, frames = len(values) // 2, []
+    for at, (value, fig) in enumerate(zip(values, figures, strict=True)):
+        picture = io.BytesIO()
+        fig.savefig(picture, format="webp", dpi=90, pil_kwargs={"quality": 70})
+        plt.close(fig)
+        told = html.escape(f"{quantity} {value:g} {unit}".rstrip(), quote=True)
+        source = f"data:image/webp;base64,{base64.b64encode(picture.getvalue()).decode()}"
+        hidden = "" if at == middle else " hidden"
+        about = html.escape(caption, quote=True)
+        frames.append(f"<span data-value='{told}'{hidden}><img src='{source}' alt='{told}: {about}'/></span>")
+    knob = f"<input type='range' min='0' max='{len(values) - 1}' value='{middle}' aria-label='{html.escape(label)}'/>"
+    shown = html.escape(f"{quantity} {values[middle]:g} {unit}".rstrip())
+    return f"<div class='frames'><label>{knob} <output>{shown}</output></label>{''.join(frames)}</div>"
+
+
+def _same_scale(figures: Sequence[Figure]) -> None:
+    """Give the first axes of all figures the limits that hold all of them."""
+    for axis in ("x", "y"):
+        limits = [getattr(fig.axes[0], f"get_{axis}lim")() for fig in figures]
+        low, high = min(min(pair) for pair in limits), max(max(pair) for pair in limits)
+        for fig, (first, last) in zip(figures, limits, strict=True):
+            getattr(fig.axes[0], f"set_{axis}lim")(*((low, high) if first <= last else (high, low)))
 
 
 def is_live() -> bool:

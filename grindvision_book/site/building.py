@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 import warnings
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,10 +57,10 @@ _CONTENTS = {
     "diao2018: grinding": ("01", "02", "03", "04", "05", "06", "07", "08", "09", "16"),
     "peng2020: welding": ("10", "11", "15"),
     "Your own scans and arm": ("12", "13", "14", "examples", "when_it_does_not_work"),
-    "Teaching": ("teachers_guide", "lessons", "exercises"),
+    "Teaching": ("teachers_guide", "lessons", "exercises", "answers"),
     "Races": ("benchmarks/README", *(f"figures/bench_{race}" for race in _RACES)),
     "Reference": (
-        "conventions", "glossary", "api/index", "data/README", "references", "CHANGELOG",
+        "conventions", "glossary", "api/index", "data/README", "references", "errata", "CHANGELOG",
         "CONTRIBUTING",
     ),
     "Decisions": tuple(path.removesuffix(".md") for path in _DECISIONS),
@@ -107,6 +108,7 @@ def build_site(
         (extra / "scenes").mkdir(parents=True, exist_ok=True)
         shutil.move(page, extra / "scenes" / page.name)
     shutil.copytree(notebooks, extra / "downloads", ignore=_no_chapter_or_exercise, dirs_exist_ok=True)
+    _pack_data(extra / "downloads" / "grindvision-data.zip")
     if in_browser:
         shutil.copytree(in_browser, extra / "lite")
     if reference:
@@ -120,6 +122,14 @@ def build_site(
     unfinished.rename(site)
     write_json(record, {"inputs": inputs, "pages": _digest_of(site)})
     return site / "index.html"
+
+
+def _pack_data(target: Path) -> None:
+    """What the papers print and the robots' tables, to hand out to a class; what is made from seeds is not in it."""
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted((ROOT / "data").rglob("*")):
+            if path.is_file() and "synthetic" not in path.parts:
+                archive.write(path, path.relative_to(ROOT))
 
 
 def _no_chapter_or_exercise(folder: str, names: list[str]) -> list[str]:

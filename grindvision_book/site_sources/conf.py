@@ -91,13 +91,13 @@ def _about_the_page(app: Sphinx, page: str, template: str, context: dict[str, An
     The picture's address is whole where ``GRINDVISION_SITE_URL`` says where the site will stand; relative ones are not
     followed by the services that show it.
     """
-    paragraphs = (node.astext().replace("\n", " ") for node in tree.findall(nodes.paragraph)) if tree else iter(())
+    paragraphs = [node.astext().replace("\n", " ") for node in tree.findall(nodes.paragraph)] if tree else []
     about = next((text for text in paragraphs if len(text) > 80), ABOUT)
-    pictures = (node["uri"] for node in tree.findall(nodes.image)) if tree else iter(())
-    pictures = (f"_images/{app.env.images[uri][1]}" for uri in pictures if uri in app.env.images)
-    pictures = (picture for picture in pictures if not picture.endswith(".svg"))
+    shown = [node["uri"] for node in tree.findall(nodes.image)] if tree else []
+    files = [app.env.images[uri][1] for uri in shown if uri in app.env.images]
+    picture = next((f"_images/{name}" for name in files if not name.endswith(".svg")), "_static/share.png")
     context["page_about"] = about if len(about) < 200 else about[:197].rsplit(" ", 1)[0] + "..."
-    context["page_picture"] = os.environ.get("GRINDVISION_SITE_URL", "") + next(pictures, "_static/share.png")
+    context["page_picture"] = os.environ.get("GRINDVISION_SITE_URL", "") + picture
 
 
 def _with_plain_aliases(

@@ -125,6 +125,17 @@ function fitFormulas() {
   window.addEventListener("resize", fit);
 }
 
+// A slider of the page shows one of the finished pictures below it.
+function moveFrames() {
+  for (const box of document.querySelectorAll(".frames")) {
+    const frames = [...box.querySelectorAll("span[data-value]")];
+    box.querySelector("input").addEventListener("input", (event) => {
+      frames.forEach((frame, at) => (frame.hidden = at !== Number(event.target.value)));
+      box.querySelector("output").textContent = frames[event.target.value].dataset.value;
+    });
+  }
+}
+
 // Figures have a dark copy, shown while the page is dark.
 function followTheme() {
   const pictures = [...document.querySelectorAll("img[data-dark]")];
@@ -144,5 +155,6 @@ document.addEventListener("DOMContentLoaded", () => {
   foldCode();
   stackWideTables();
   filterEvidence();
+  moveFrames();
 });
 window.addEventListener("load", fitFormulas);
