@@ -94,8 +94,8 @@ def _about_the_page(app: Sphinx, page: str, template: str, context: dict[str, An
     paragraphs = [node.astext().replace("\n", " ") for node in tree.findall(nodes.paragraph)] if tree else []
     about = next((text for text in paragraphs if len(text) > 80), ABOUT)
     shown = [node["uri"] for node in tree.findall(nodes.image)] if tree else []
-    files = [app.env.images[uri][1] for uri in shown if uri in app.env.images]
-    picture = next((f"_images/{name}" for name in files if not name.endswith(".svg")), "_static/share.png")
+    files = [uri.split("_images/")[-1] for uri in shown if "_images/" in uri and not uri.endswith(".svg")]
+    picture = f"_images/{files[0]}" if files else "_static/share.png"
     context["page_about"] = about if len(about) < 200 else about[:197].rsplit(" ", 1)[0] + "..."
     context["page_picture"] = os.environ.get("GRINDVISION_SITE_URL", "") + picture
 
@@ -118,10 +118,16 @@ def _finish_pages(app: Sphinx, error: Exception | None) -> None:
             script = Path(app.outdir) / "_static" / "scripts" / name
             if script.exists():
                 script.write_text("/* the icons are drawn by book.css */\n", encoding="utf-8")
-        dark = {picture.name for picture in (Path(app.outdir) / "_images" / "dark").glob("*")}
+        made = {picture.name for picture in (Path(app.outdir) / "_images" / "dark").glob("*")}
+        figures = {name: Path(source) for source, (_, name) in app.env.images.items()}
+        dark = {
+            name: source.name
+            for name, source in figures.items()
+            if source.name in made and source.parent.name == "figures"
+        }
 
         def with_dark(match: re.Match[str]) -> str:
-            return f'{match[0]} data-dark="{match[1]}dark/{match[2]}"' if match[2] in dark else match[0]
+            return f'{match[0]} data-dark="{match[1]}dark/{dark[match[2]]}"' if match[2] in dark else match[0]
 
         # The theme's release for Python 3.10 links the library's fonts instead.
         for page in Path(app.outdir).glob("**/*.html"):
