@@ -103,7 +103,8 @@ def test_every_chapter_begins_with_its_rows_of_the_scoreboard(whole_site):
         page, rows = text_of(whole_site, f"notebooks/{chapter.stem}.html"), board[board["chapter"] == number]
         assert page.count('class="verdict') + page.count("class='verdict") == len(rows)
         if len(rows):
-            assert page.index("What the numbers of this chapter are worth") < page.index("What you will learn")
+            body = page.split("</head>")[1]
+            assert body.index("What the numbers of this chapter are worth") < body.index("What you will learn")
 
 
 def test_every_chapter_and_exercise_is_there_to_download_as_it_stands_in_the_repository(whole_site, pages):

@@ -240,19 +240,7 @@ def _gather(
         nbformat.write(notebook, sources / "notebooks" / chapter.name)
 
     exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
-    if exercises:
-        for exercise in exercises:
-            notebook = nbformat.read(exercise, as_version=4)
-            runs = in_browser and exercise.name[:2] in IN_BROWSER
-            offers = notebook_links(
-                f"exercises/{exercise.name}",
-                "../../",
-                address,
-                in_browser_link(exercise.name, "../../") if runs else "",
-            )
-            notebook.cells.insert(1, new_markdown_cell(offers, id="take"))
-            (sources / "notebooks" / "exercises").mkdir(exist_ok=True)
-            nbformat.write(notebook, sources / "notebooks" / "exercises" / exercise.name)
+    _gather_exercises(sources / "notebooks" / "exercises", exercises, address, in_browser)
     for text in (*_TEXTS, *_LINKED):
         if (ROOT / text).exists():
             (sources / text).parent.mkdir(parents=True, exist_ok=True)
@@ -272,6 +260,20 @@ def _gather(
     for name, text in pages.items():
         (sources / name).write_text(lightened(text, light), encoding="utf-8")
     return light
+
+
+def _gather_exercises(target: Path, exercises: Sequence[Path], address: str, in_browser: bool) -> None:
+    """Copy the exercises, each with links to take it away below its title."""
+    import nbformat
+    from nbformat.v4 import new_markdown_cell
+
+    for exercise in exercises:
+        notebook = nbformat.read(exercise, as_version=4)
+        here = in_browser_link(exercise.name, "../../") if in_browser and exercise.name[:2] in IN_BROWSER else ""
+        offers = notebook_links(f"exercises/{exercise.name}", "../../", address, here)
+        notebook.cells.insert(1, new_markdown_cell(offers, id="take"))
+        target.mkdir(exist_ok=True)
+        nbformat.write(notebook, target / exercise.name)
 
 
 def _exercises_page(names: Sequence[str], in_browser: bool) -> str:
