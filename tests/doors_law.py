@@ -80,7 +80,8 @@ def blank_pictures(monkeypatch):
     """Pictures take longer than everything else here, and other tests draw them."""
 
     def blank(*arguments):
-        Path(arguments[-1]).write_bytes(b"png")
+        (path,) = (one for one in arguments if isinstance(one, Path))
+        path.write_bytes(b"png")
 
     monkeypatch.setattr(detect_picture, "draw", blank)
     monkeypatch.setattr(groove_picture, "draw", blank)

@@ -72,10 +72,19 @@ def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
 
 
 def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
-    """Whether the surface turns from both walls of a groove into a level surface at an edge.
+    """Whether the surface is seen to turn from both walls of a groove into a level surface at an edge."""
+    return all(edges_of_sides(groove, cloud))
 
-    The hollow where two tubes meet bends on and on instead. Judged by the median cross-section in the cloud (N, 3); an
-    upright wall, which is hardly seen, is not judged.
+
+def bends_on(groove: DetectedGroove, cloud: Floats) -> bool:
+    """Whether a wall is seen to bend on and on instead of ending at an edge: the hollow where two tubes meet."""
+    return False in edges_of_sides(groove, cloud)
+
+
+def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, bool | None]:
+    """Whether left and right wall turn into a level surface at an edge; None where too little of it is seen.
+
+    Judged by the median cross-section in the cloud (N, 3); an upright wall, which is hardly seen, counts as one.
     """
     # Drawn, not every n-th: a scan's rows would leave whole lines out.
     drawn = np.random.default_rng(0).integers(len(cloud), size=PROFILE_POINTS)
@@ -89,16 +98,17 @@ def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
     beside = np.abs((offset * along[station]).sum(axis=1)) < groove.step_mm
     station, offset = station[beside], offset[beside]
     place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
+    found: list[bool | None] = []
     for edge in (groove.left, groove.right):
         side = ((edge - groove.root) * across).sum(axis=1)
         if np.median(np.abs(side) / groove.width_mm) < UPRIGHT:
+            found.append(True)
             continue
         slopes = _slopes_deg(place / side[station], height, float(np.median(np.abs(side))))
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
-        # NaN, where too little is seen, fails too.
-        if not (turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG):
-            return False
-    return True
+        is_edge = bool(turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG)
+        found.append(is_edge if np.isfinite(slopes).all() else None)
+    return found[0], found[1]
 
 
 def _slopes_deg(place: Floats, height: Floats, half_mm: float) -> Floats:

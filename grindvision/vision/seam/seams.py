@@ -20,7 +20,13 @@ from grindvision.loose_settings import settings_in
 from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
-from grindvision.vision.seam.groove_diagnostics import MIN_BOTH_SIDES, MIN_WALL_FRACTION, has_edges, wall_fraction
+from grindvision.vision.seam.groove_diagnostics import (
+    MIN_BOTH_SIDES,
+    MIN_WALL_FRACTION,
+    bends_on,
+    has_edges,
+    wall_fraction,
+)
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
@@ -172,9 +178,9 @@ def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Itera
 def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> bool:
     """Whether a doubtful groove is better explained by one of the other seams, which runs within it.
 
-    A hollow without edges is explained by any corner of the scene.
+    A hollow whose walls bend on is explained by any corner of the scene.
     """
-    if any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others) and not has_edges(groove, cloud):
+    if any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others) and bends_on(groove, cloud):
         return True
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
