@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
@@ -116,6 +117,15 @@ def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:
     report.write_results(folder, "floors", title, table, notes, facts)
 
 
+#: Gone in OpenCV 5; ``pip install 'opencv-python-headless<5'`` into an environment of its own brings it back.
+HAND_EYE_OF_OPENCV = "cv2.calibrateHandEye"
+
+
+def _has(attribute: str) -> bool:
+    module, _, name = attribute.rpartition(".")
+    return find_spec(module) is not None and hasattr(import_module(module), name)
+
+
 def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[str]]:
     """Who can race here, and for everyone else a line that says why not."""
     there, absent = [], []
@@ -124,6 +134,8 @@ def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[s
             reason = no_pcl
         elif racer.needs == "CloudCompare":
             reason = "" if which("CloudCompare") else "not installed (Debian, Ubuntu: apt-get install cloudcompare)"
+        elif racer.needs == HAND_EYE_OF_OPENCV:
+            reason = "" if _has(HAND_EYE_OF_OPENCV) else "only OpenCV below 5 has it, and chapter 06 is pinned to 5"
         elif racer.needs and find_spec(racer.needs) is None:
             reason = f"no Python module {racer.needs} (pip install -r benchmarks/requirements.txt)"
         else:

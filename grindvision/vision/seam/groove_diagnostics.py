@@ -24,8 +24,8 @@ PROFILE_BINS = np.linspace(0.1, 1.75, 12)
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
 #: A wall is upright whose edge lies within this fraction of the width from the root.
 UPRIGHT = 0.22
-#: So many points of the cloud show the edges.
-PROFILE_POINTS = 12_000
+#: So many points of the cloud show the edges; multiples of the golden ratio are spread evenly and hit no period.
+PROFILE_POINTS, GOLDEN = 12_000, (np.sqrt(5) - 1) / 2
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
 MIN_FILLING = 0.45
 
@@ -86,9 +86,7 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
 
     Judged by the median cross-section in the cloud (N, 3); an upright wall, which is hardly seen, counts as one.
     """
-    # Drawn, not every n-th: a scan's rows would leave whole lines out.
-    drawn = np.random.default_rng(0).integers(len(cloud), size=PROFILE_POINTS)
-    points = cloud if len(cloud) < PROFILE_POINTS else cloud[drawn]
+    points = cloud if len(cloud) < PROFILE_POINTS else cloud[_scattered(len(cloud), PROFILE_POINTS)]
     half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
     away, station = cKDTree(groove.root).query(points, distance_upper_bound=1.2 * PROFILE_BINS[-1] * half)
     near = np.isfinite(away)
@@ -109,6 +107,11 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
         is_edge = bool(turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG)
         found.append(is_edge if np.isfinite(slopes).all() else None)
     return found[0], found[1]
+
+
+def _scattered(count: int, some: int) -> NDArray[np.int64]:
+    """Numbers (some,) of rows out of ``count`` by the golden ratio: every n-th would leave whole lines of a scan out."""
+    return (np.arange(some) * GOLDEN % 1.0 * count).astype(np.int64)
 
 
 def _slopes_deg(place: Floats, height: Floats, half_mm: float) -> Floats:
