@@ -212,7 +212,8 @@ HAND_EYE = Race(
         ours("grindvision", "hand_eye", "calibration.hand_eye at its defaults: covariance, poses left out in turn"),
         *(
             Racer(
-                f"OpenCV, {method.capitalize()}", "hand_eye_peers:opencv", settings={"method": method}, needs="cv2.calibrateHandEye",
+                f"OpenCV, {method.capitalize()}", "hand_eye_peers:opencv", settings={"method": method},
+                needs="cv2.calibrateHandEye",
                 about=f"cv2.calibrateHandEye, CALIB_HAND_EYE_{method}",
             )
             for method in ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")

@@ -110,7 +110,7 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
 
 
 def _scattered(count: int, some: int) -> NDArray[np.int64]:
-    """Numbers (some,) of rows out of ``count`` by the golden ratio: every n-th would leave whole lines of a scan out."""
+    """Numbers (some,) of rows out of ``count`` by the golden ratio: every n-th would leave lines of a scan out."""
     return (np.arange(some) * GOLDEN % 1.0 * count).astype(np.int64)
 
 
