@@ -337,7 +337,7 @@ def test_tables_of_other_arms_and_scales_of_the_tracker_are_named_with_their_siz
     told = calibrate(made.measurements, ur5().with_table(other)).warnings
     assert any("d2_mm + d3_mm + d4_mm moved by 2" in sentence for sentence in told)
     radians = made.measurements.q_rad * np.where(np.arange(6) == 3, np.pi / 180, 1.0)
-    with pytest.raises(UnitError, match="q4 looks like radians"):
+    with pytest.raises(UnitError, match="q4_rad looks like radians"):
         calibrate(replace(made.measurements, q_rad=radians), ur5())
 
 

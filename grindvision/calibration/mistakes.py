@@ -151,7 +151,7 @@ def _joint_mistakes(measurements: Measurements) -> Iterator[Mistake]:
     for joint in range(joints):
         for factor, unit in ((np.pi / 180, "degrees"), (180 / np.pi, "radians that were taken for degrees")):
             yield Mistake(
-                f"column q{joint + 1} looks like {unit}",
+                f"column q{joint + 1}_rad looks like {unit}",
                 UnitError,
                 _changing("q_rad", partial(np.multiply, np.where(numbers == joint, factor, 1.0))),
             )
