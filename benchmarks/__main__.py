@@ -117,13 +117,14 @@ def write_floors(folder: Path, plan: Plan, facts: dict[str, str]) -> None:
     report.write_results(folder, "floors", title, table, notes, facts)
 
 
-#: Gone in OpenCV 5; ``pip install 'opencv-python-headless<5'`` into an environment of its own brings it back.
-HAND_EYE_OF_OPENCV = "cv2.calibrateHandEye"
-
-
-def _has(attribute: str) -> bool:
-    module, _, name = attribute.rpartition(".")
-    return find_spec(module) is not None and hasattr(import_module(module), name)
+def _lacking(needs: str) -> str:
+    """Why a module, or ``module.function``, cannot be had here; empty where it can."""
+    module, _, function = needs.partition(".")
+    if find_spec(module) is None:
+        return f"no Python module {module} (pip install -r benchmarks/requirements.txt)"
+    if function and not hasattr(import_module(module), function):
+        return f"the {module} installed here has no {function} (benchmarks/README.md says which has)"
+    return ""
 
 
 def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[str]]:
@@ -134,10 +135,8 @@ def present(racers: tuple[Racer, ...], no_pcl: str) -> tuple[list[Racer], list[s
             reason = no_pcl
         elif racer.needs == "CloudCompare":
             reason = "" if which("CloudCompare") else "not installed (Debian, Ubuntu: apt-get install cloudcompare)"
-        elif racer.needs == HAND_EYE_OF_OPENCV:
-            reason = "" if _has(HAND_EYE_OF_OPENCV) else "only OpenCV below 5 has it, and chapter 06 is pinned to 5"
-        elif racer.needs and find_spec(racer.needs) is None:
-            reason = f"no Python module {racer.needs} (pip install -r benchmarks/requirements.txt)"
+        elif racer.needs:
+            reason = _lacking(racer.needs)
         else:
             reason = ""
         if reason:

@@ -302,7 +302,7 @@ def test_stated_sigmas_hold_where_gears_wave_and_links_sag():
 
 
 def test_masses_of_a_urdf_pull_at_its_joints_as_pinocchio_has_it(rng, tmp_path):
-    pin = pytest.importorskip("pinocchio")
+    pin = pytest.importorskip("pinocchio", reason="gravity is compared with Pinocchio's, of the extra robot")
     text = (data_folder() / "robots" / "ur3" / "ur3.urdf").read_text(encoding="utf-8")
 
     def with_mass(match):

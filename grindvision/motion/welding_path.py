@@ -35,7 +35,7 @@ MAX_PLACES = 4000
 WEAVE_MM_S2 = 5000.0
 
 #: A weave counts as held where nine moves of ten reach this fraction of their speed.
-HELD_FRACTION, HELD_SHARE = 0.9, 0.9
+MIN_SPEED_FRACTION, MIN_MOVES_FRACTION = 0.9, 0.9
 
 
 @by_content
@@ -326,8 +326,8 @@ def _check_held(path: WeldPath, motion: Motion, reached_mm_s: Floats) -> None:
         return
     inside = np.flatnonzero((path.welds[1:] > 0) & (path.welds[1:] == path.welds[:-1])) + 1
     wanted = path.speeds_mm_s[inside]
-    held = np.quantile(reached_mm_s[inside] / wanted, 1 - HELD_SHARE)
-    if held < HELD_FRACTION:
+    held = np.quantile(reached_mm_s[inside] / wanted, 1 - MIN_MOVES_FRACTION)
+    if held < MIN_SPEED_FRACTION:
         hz = path.speed_mm_s / path.weave.length_mm
         steps = np.linalg.norm(np.diff(path.trajectory.positions_mm, axis=0), axis=1)
         slower = min(float((steps / path.speeds_mm_s[1:]).sum() / motion.timing.time_s[-1]), 1.0)
