@@ -28,8 +28,9 @@ class Racer:
     """Who races: ``task`` is ``module:function`` below ``benchmarks.peers``, ``kind`` ours, paper_variant or peer.
 
     ``settings`` are handed to the function; ``about`` states them for the reader; ``needs`` names a Python module, or
-    one of its functions, PCL or CloudCompare, without which the racer is absent. ``warm_up``: run once before, uncounted; not for a program that
-    is a process of its own in every run, or where compiled code is all there is and a run is long.
+    one of its functions, PCL or CloudCompare, without which the racer is absent. ``warm_up``: run once before,
+    uncounted; not for a program that is a process of its own in every run, or where compiled code is all there is and
+    a run is long.
     """
 
     name: str
