@@ -36,11 +36,11 @@ def simulated_sequence(rng: np.random.Generator) -> tuple[Floats, Floats, Floats
     """T_base_flange (N, 4, 4) as the controller shows it, T_camera_board (N, 4, 4) as seen, T_flange_camera (4, 4)."""
     T_flange_camera = rigid(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-120, 120, 3))
     T_base_board = rigid(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-600, 600, 3))
-    count, most_deg = int(rng.integers(*POSES, endpoint=True)), rng.uniform(15, 40)
+    count, max_deg = int(rng.integers(*POSES, endpoint=True)), rng.uniform(15, 40)
     arm_mm, arm_deg, camera_mm, camera_deg = (
         rng.uniform(*limits) for limits in (ARM_MM, ARM_DEG, CAMERA_MM, CAMERA_DEG)
     )
-    turns = Rotation.from_rotvec(np.radians(rng.uniform(-most_deg, most_deg, (count, 3)))).as_matrix()
+    turns = Rotation.from_rotvec(np.radians(rng.uniform(-max_deg, max_deg, (count, 3)))).as_matrix()
     places = np.column_stack([rng.uniform(-60, 60, (count, 2)), rng.uniform(300, 600, count)])
     T_camera_board = np.array([rigid(turn, place) for turn, place in zip(turns, places, strict=True)])
     T_base_flange = T_base_board @ inverse(T_camera_board) @ inverse(T_flange_camera)

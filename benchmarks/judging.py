@@ -17,7 +17,7 @@ WRONG_TURN_DEG, WRONG_SHIFT_MM = 5.0, 5.0
 WRONG_OVERLAP = 30.0
 """A groove that overlaps the true one by less percent has not been found."""
 
-WRONG_PATH_MM, LEAST_SPAN = 2.0, 0.6
+WRONG_PATH_MM, MIN_SPAN = 2.0, 0.6
 """A path that lies farther from the ridge in the mean, or runs along less of it, does not follow the bead."""
 
 
@@ -42,7 +42,7 @@ def judge_path(path: Floats, line: Floats) -> dict[str, float]:
         return {"path_mean_mm": np.nan, "path_max_mm": np.nan, "path_span": 0.0, "failed": 1.0}
     distances, arcs = beside(path, line)
     mean, span = float(distances.mean()), float(np.ptp(arcs))
-    failed = mean > WRONG_PATH_MM or span < LEAST_SPAN
+    failed = mean > WRONG_PATH_MM or span < MIN_SPAN
     return {"path_mean_mm": mean, "path_max_mm": float(distances.max()), "path_span": span, "failed": float(failed)}
 
 

@@ -22,7 +22,7 @@ from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
-from grindvision.vision.registration.model_registration import doubts_of_model, register_to_model
+from grindvision.vision.registration.model_registration import diagnose_model, register_to_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
 
 Floats = NDArray[np.float64]
@@ -59,11 +59,11 @@ class GrindOptions:
 @by_content
 @dataclass(frozen=True)
 class Compared:
-    """Two scans, registered, and what differs; ``doubts`` in words speak against it."""
+    """Two scans, registered, and what differs; ``findings`` in words speak against it."""
 
     registration: Registration
     difference: Difference
-    doubts: tuple[str, ...]
+    findings: tuple[str, ...]
 
 
 @by_content
@@ -130,13 +130,13 @@ def grind(
     clock.lap("stock")
     if not stock.pieces:
         raise DegenerateError(_no_stock(stock))
-    courses = _courses(compared.difference)
+    centrelines = _centrelines(compared.difference)
     keep_out = None if options.keep_out is None else check_points(options.keep_out, "keep-out points")
     plans: list[GrindingPlan | None] = []
     refusals = {}
     for number, piece in enumerate(stock.pieces, start=1):
         try:
-            plans.append(plan_grinding(workpiece(piece, keep_out, courses, options.place_sigma_mm), options.passes))
+            plans.append(plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes))
         except InputError as error:
             refusals[number] = str(error)
             plans.append(None)
@@ -149,7 +149,7 @@ def grind(
             f"material is missing in {len(stock.pits)} place(s), the largest {stock.pits[0]},"
             f" {stock.pit_depths_mm[0]:.2f} mm deep; it is reported and not ground"
         )
-    for sentence in (*compared.doubts, *said):
+    for sentence in (*compared.findings, *said):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
 
@@ -165,10 +165,10 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: GrindOptions, c
     reading = read_by(found, options.datum_mm, options.seed)
     found = replace(found, fine=reading.registration)
     difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
-    against = reading.doubts(nothing_found=not difference.clusters)
+    against = reading.diagnose(nothing_found=not difference.clusters)
     if not reading.off:
         against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
-    against += () if surface is None else doubts_of_model(surface.facets)
+    against += () if surface is None else diagnose_model(surface.facets)
     clock.lap("difference")
     return Compared(found, difference, tuple(one for one in against if "material is missing" not in one))
 
@@ -176,10 +176,10 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: GrindOptions, c
 def workpiece(
     piece: StockPiece,
     keep_out: Floats | None = None,
-    courses: tuple[Floats, ...] = (),
+    centrelines: tuple[Floats, ...] = (),
     offset_sigma_mm: float = 0.0,
 ) -> Workpiece:
-    """A piece of stock as ``plan_grinding`` takes it; ``courses`` (M, 3) of beads in the frame of the scan."""
+    """A piece of stock as ``plan_grinding`` takes it; ``centrelines`` (M, 3) of beads in the frame of the scan."""
     heights = piece.map
     keep = np.zeros(heights.shape, dtype=bool)
     if keep_out is not None:
@@ -187,20 +187,20 @@ def workpiece(
         at = np.rint(places[:, :2] / heights.spacing_mm).astype(np.int64)
         at = at[((at >= 0) & (at < heights.shape)).all(axis=1)]
         keep[at[:, 0], at[:, 1]] = True
-    course = None
-    for ridge in courses:
+    centreline = None
+    for ridge in centrelines:
         on_map = move_points(inverse(heights.T_scan_map), ridge)[:, :2]
         at = np.rint(on_map / heights.spacing_mm).astype(np.int64)
         there = ((at >= 0) & (at < heights.shape)).all(axis=1)
         if there.all() and piece.inside[at[:, 0], at[:, 1]].mean() > 0.8:
-            course = on_map
+            centreline = on_map
             break
     return Workpiece(
-        heights, piece.inside, keep, piece.level_mm, piece.ground_sigma_mm, course, offset_sigma_mm=offset_sigma_mm
+        heights, piece.inside, keep, piece.level_mm, piece.ground_sigma_mm, centreline, offset_sigma_mm=offset_sigma_mm
     )
 
 
-def _courses(difference: Difference) -> tuple[Floats, ...]:
+def _centrelines(difference: Difference) -> tuple[Floats, ...]:
     """Ridges (M, 3) of the open beads among the pieces; a piece without one is worked in rows."""
     ridges = []
     for cluster in difference.clusters:

@@ -101,7 +101,7 @@ def grind_again(
     options = GrindAgainOptions() if options is None else options
     clock = StageClock(finished)
     compared = compare(sample, new, options.compare, clock)
-    for sentence in compared.doubts:
+    for sentence in compared.findings:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     found = compared.registration
     T_new_test = inverse(found.T_target_source) @ job.T_sample_test
@@ -119,7 +119,7 @@ def grind_again(
         work = workpiece(piece)
         if old is not None:
             offset, sigma = _offset(job, old, told, piece, T_new_test, options.T_base_scanner)
-            work = replace(work, keep=old.work.keep, course_mm=old.work.course_mm)
+            work = replace(work, keep=old.work.keep, centreline_mm=old.work.centreline_mm)
             work = replace(work, offset_mm=offset, offset_sigma_mm=sigma)
         try:
             plans[-1] = plan_grinding(work, passes)

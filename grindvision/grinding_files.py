@@ -88,8 +88,8 @@ def write_job(path: str | Path, job: GrindingJob, pieces: tuple[StockPiece, ...]
                 ],
             }  # fmt: skip
             arrays[f"{key}keep"] = plan.work.keep
-            if plan.work.course_mm is not None:
-                arrays[f"{key}course"] = plan.work.course_mm
+            if plan.work.centreline_mm is not None:
+                arrays[f"{key}course"] = plan.work.centreline_mm
             for at, one in enumerate(plan.passes):
                 arrays[f"{key}pass{at}_heights"] = one.heights_mm
                 for line, stroke in enumerate(one.strokes):
@@ -148,7 +148,7 @@ def _piece(
     course = arrays.get(f"{key}course")
     over = HeightMap(frame, entry["spacing_mm"], arrays[f"{key}floor"], normals, heights)
     numbers = {name: found[name] for name in WORK_NUMBERS}
-    work = Workpiece(over, inside, arrays[f"{key}keep"], course_mm=course, **numbers)
+    work = Workpiece(over, inside, arrays[f"{key}keep"], centreline_mm=course, **numbers)
     passes = []
     for at, one in enumerate(found["passes"]):
         strokes = tuple(

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
+
+Class = TypeVar("Class", bound=type)
 
 
 def lazy_names(
@@ -58,3 +61,31 @@ def renamed_property(old: str, new: str) -> property:
         return getattr(self, new)
 
     return property(get, doc=f"Old name of ``{new}``.")
+
+
+def renamed_fields(**new_names: str) -> Callable[[Class], Class]:
+    """A dataclass whose fields were called ``old=new`` before: old keywords and attributes work and raise a
+    ``DeprecationWarning``."""
+
+    def decorate(cls: Class) -> Class:
+        init = cls.__init__  # type: ignore[misc]
+
+        @wraps(init)
+        def accept(self: object, *values: Any, **named: Any) -> None:
+            for old in new_names.keys() & named.keys():
+                new = new_names[old]
+                warnings.warn(
+                    f"{cls.__name__}({old}=) is now {new}=; the old name goes with the next version",
+                    DeprecationWarning,
+                    stacklevel=2,
+                )
+                named[new] = named.pop(old)
+            init(self, *values, **named)
+
+        cls.__init__ = accept  # type: ignore[misc]
+        cls.old_fields = frozenset(new_names)  # type: ignore[attr-defined]
+        for old, new in new_names.items():
+            setattr(cls, old, renamed_property(old, new))
+        return cls
+
+    return decorate

@@ -20,7 +20,7 @@ def settings_in(
     Keyword arguments that are fields of ``options``, and further positional ones by ``old_order``, are put into one,
     with a ``DeprecationWarning``.
     """
-    names = {one.name for one in fields(options)}
+    names = {one.name for one in fields(options)} | getattr(options, "old_fields", frozenset())
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         @wraps(function)

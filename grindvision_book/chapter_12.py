@@ -107,7 +107,7 @@ def profile(slice_: pd.DataFrame, step_mm: float, least: int = 3) -> pd.DataFram
     return pd.DataFrame({"across_mm": groups.index * step_mm, "height_mm": groups["median"].to_numpy()})
 
 
-def doubts_of_detection(report: Mapping[str, Any], noise_mm: float) -> pd.DataFrame:
+def judge_detection(report: Mapping[str, Any], noise_mm: float) -> pd.DataFrame:
     """What to look at in a report.json of ``detect``: quantity, value, when it is well, and what it says otherwise."""
     level = report["level_of_detection_mm"]
     rows = [
@@ -122,7 +122,7 @@ def doubts_of_detection(report: Mapping[str, Any], noise_mm: float) -> pd.DataFr
     return _judged(rows)
 
 
-def doubts_of_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: float) -> pd.DataFrame:
+def judge_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: float) -> pd.DataFrame:
     """What to look at in a report.json of ``groove``, for its first groove."""
     groove = report["grooves"][0]
     width = groove["width_mm"]
@@ -142,7 +142,7 @@ def doubts_of_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: flo
     return _judged(rows)
 
 
-def doubts_of_calibration(report: Mapping[str, Any]) -> pd.DataFrame:
+def judge_calibration(report: Mapping[str, Any]) -> pd.DataFrame:
     """What to look at in a report.json of ``calibrate``."""
     test, train = (report["errors_mm"][part]["after"] for part in ("test", "train"))
     before = report["errors_mm"]["test"]["before"]["mean"]

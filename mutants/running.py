@@ -22,7 +22,7 @@ COPIED = (
 #: What every test file loads anyway; ``grindvision`` itself is loaded after the fork.
 LIBRARIES = ("numpy", "scipy.spatial", "scipy.optimize", "scipy.ndimage", "numba", "pandas", "pytest")
 #: A run that takes so much longer than without a fault has noticed it: a loop without end.
-PATIENCE, LEAST_S = 5.0, 120.0
+PATIENCE, MIN_S = 5.0, 120.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Laboratory:
         begin = time.perf_counter()
         try:
             file.write_text(mutant.applied(file.read_text(encoding="utf-8")), encoding="utf-8")
-            outcome = self._run(tests, max(PATIENCE * self.usual_s.get(names, 0.0), LEAST_S))
+            outcome = self._run(tests, max(PATIENCE * self.usual_s.get(names, 0.0), MIN_S))
         finally:
             shutil.rmtree(self.place / package)
             kept.rename(self.place / package)

@@ -14,7 +14,7 @@ from grindvision.errors import DegenerateError, FileError, GrindvisionWarning, I
 from grindvision.geometry import move_points, rigid, rotation_about
 from grindvision.models import read_cloud_or_model
 from grindvision.triangles import spread_points
-from grindvision.vision.registration.model_registration import doubts_of_model, other_unit
+from grindvision.vision.registration.model_registration import diagnose_model, other_unit
 from grindvision.vision.registration.pair_diagnostics import PairNames
 from grindvision.vision.surface.facets import sound_facets
 from grindvision.vision.surface.model_surface import model_surface, scan_seen_from, seen, spread, whole_scan
@@ -83,7 +83,7 @@ def test_the_facets_of_a_sound_solid_stay_as_they_are():
     assert facets.area_mm2 == pytest.approx(2 * (60 * 40 + 60 * 10 + 40 * 10))
     away = ((facets.corners.mean(axis=1) - box().mean(axis=0)) * facets.normals).sum(axis=1)
     assert (away > 0).all()
-    assert doubts_of_model(facets) == ()
+    assert diagnose_model(facets) == ()
 
 
 @pytest.mark.parametrize("shape", ["box", "tube"])
@@ -98,11 +98,11 @@ def test_facets_wound_inside_out_are_turned_and_counted(shape, moved):
     found, _ = sound_facets(vertices, wrong)
     assert found.turned == len(some)
     np.testing.assert_allclose(found.normals, right.normals, atol=1e-12)
-    assert f"{len(some):,} of the model's {len(triangles):,} facets" in doubts_of_model(found)[0]
+    assert f"{len(some):,} of the model's {len(triangles):,} facets" in diagnose_model(found)[0]
     inverted, _ = sound_facets(vertices, triangles[:, ::-1])
     assert inverted.turned == len(triangles)
     np.testing.assert_allclose(inverted.normals, right.normals, atol=1e-12)
-    assert "all" in doubts_of_model(inverted)[0] and "--mirrored" in doubts_of_model(inverted)[0]
+    assert "all" in diagnose_model(inverted)[0] and "--mirrored" in diagnose_model(inverted)[0]
 
 
 def test_an_open_box_is_told_by_its_rays_and_a_single_sheet_is_not():
@@ -110,7 +110,7 @@ def test_an_open_box_is_told_by_its_rays_and_a_single_sheet_is_not():
     assert (lidless.closed, lidless.sided, lidless.turned) == (False, True, 10)
     sheet, _ = sound_facets(box(), BOX_TRIANGLES[[4, 10]])
     assert (sheet.closed, sheet.sided, sheet.turned) == (False, False, 0)
-    assert "does not tell which side" in doubts_of_model(sheet)[0]
+    assert "does not tell which side" in diagnose_model(sheet)[0]
 
 
 def test_parts_of_an_assembly_are_turned_one_by_one():

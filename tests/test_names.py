@@ -53,6 +53,17 @@ def test_an_old_function_keeps_its_old_order_and_warns(old, new, rng):
         assert (function(sample, test_in_sample, 0.5) == kept).all() and len(kept) == 30
 
 
+def test_a_setting_under_its_old_name_works_and_warns():
+    from grindvision import PlanMotionOptions
+
+    with pytest.warns(DeprecationWarning, match="min_clearance_mm"):
+        old = PlanMotionOptions(least_clearance_mm=4.0)
+    assert old == PlanMotionOptions(min_clearance_mm=4.0)
+    with pytest.warns(DeprecationWarning, match="min_clearance_mm"):
+        assert old.least_clearance_mm == 4.0
+    assert "least_clearance_mm" not in {one.name for one in dataclasses.fields(old)}
+
+
 def test_a_name_that_never_was_is_refused():
     with pytest.raises(AttributeError, match="no_such_name"):
         importlib.import_module("grindvision.vision").no_such_name  # noqa: B018

@@ -66,16 +66,16 @@ def test_a_weak_result_is_doubted():
         "level_of_detection_mm": 0.1,
         "beads": [{"height_mm": 1.5}],
     }
-    assert set(chapter_12.doubts_of_detection(good, 0.04)["verdict"]) == {"well"}
+    assert set(chapter_12.judge_detection(good, 0.04)["verdict"]) == {"well"}
     weak = good | {"confidence": 0.2, "fitness": 0.3, "rmse": 0.5, "beads": [{"height_mm": 0.15}]}
-    assert set(chapter_12.doubts_of_detection(weak, 0.04)["verdict"]) == {"look"}
+    assert set(chapter_12.judge_detection(weak, 0.04)["verdict"]) == {"look"}
 
 
 def test_the_table_doubts_a_groove_where_the_command_does():
     for edges_seen, verdict in ((MIN_BOTH_SIDES, "well"), (MIN_BOTH_SIDES - 0.01, "look")):
         groove = {"width_mm": 10.0, "depth_mm": 6.0, "length_mm": 120.0, "root_deviation_mm": 0.05}
         report = {"grooves": [groove | {"edges_seen": edges_seen}]}
-        rows = chapter_12.doubts_of_groove(report, 0.7, 0.1).set_index("quantity")["verdict"]
+        rows = chapter_12.judge_groove(report, 0.7, 0.1).set_index("quantity")["verdict"]
         assert rows.pop("share with both edges seen") == verdict
         assert set(rows) == {"well"}
 

@@ -17,7 +17,7 @@ from grindvision.geometry import (
 )
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.registration import plane_icp, sac_ia
-from grindvision.vision.registration.agreement import agreeing_share, agreement
+from grindvision.vision.registration.agreement import agreeing_fraction, agreement
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.global_registration import distinct_poses, propose_poses
 from grindvision.vision.registration.icp import icp_generalised, icp_points
@@ -291,7 +291,7 @@ def test_the_agreeing_share_is_that_of_the_whole_agreement(prepared, close, with
     for turn in (0.0, 0.02, 1.5):
         pose = close @ rigid(rotation_about((0, 0, 1), turn))
         asked = source.surfels.points[:500], source.surfels.normals[:500], target.voxels, pose, within_mm
-        assert agreeing_share(*asked) == agreement(*asked).agreeing
+        assert agreeing_fraction(*asked) == agreement(*asked).agreeing
 
 
 def test_point_icp_never_gets_worse_and_stops_as_the_paper_says(easy, close):

@@ -11,7 +11,7 @@ from grindvision.geometry import angle_between, inverse, move_points, rigid, rot
 from grindvision.vision.registration import depth_image as images
 from grindvision.vision.registration import rivals
 from grindvision.vision.registration.evidence import ABSENT, AGREES, IN_FRONT, IN_HOLE, UNSEEN
-from grindvision.vision.registration.free_motions import least_known_motion
+from grindvision.vision.registration.free_motions import weakest_motion
 from grindvision.vision.registration.pose_candidates import PoseJudge
 from grindvision.vision.registration.scan_registration import RegisterOptions, register
 from grindvision.vision.surface.scan import choose_resolution, prepare_pair, prepare_scan
@@ -100,7 +100,7 @@ def test_a_part_with_relief_all_over_is_known_well():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = register(case.test, case.sample)
-    sigma, deviated = least_known_motion(found.fine, found.source.surfels.points[::20])
+    sigma, deviated = weakest_motion(found.fine, found.source.surfels.points[::20])
     assert 0.001 < sigma < 0.2
     moved = [move_points(pose, found.source.surfels.points) for pose in (deviated, found.T_target_source)]
     assert np.linalg.norm(moved[0] - moved[1], axis=1).max() == pytest.approx(sigma, rel=0.3)

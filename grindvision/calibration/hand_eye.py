@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.calibration.hand_eye_fit import LEVER_MM, FitOptions, fit, left_out_mm
 from grindvision.calibration.hand_eye_noise import PoseErrors
-from grindvision.calibration.hand_eye_starts import motion_spread, starts_from_points, starts_from_poses
+from grindvision.calibration.hand_eye_starts import rotation_rms, starts_from_points, starts_from_poses
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import inverse
+from grindvision.lazy import renamed_property
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -28,7 +29,7 @@ MOUNTINGS = ("on-arm", "fixed")
 FEWEST_POINTS, FEWEST_POSES = 4, 3
 
 #: The poses must turn about a second axis by so much (deg, root mean square about their mean).
-LEAST_SECOND_AXIS_DEG = 2.0
+MIN_SECOND_AXIS_DEG = 2.0
 
 #: From so many poses on a wrong one can be told from the rest, and loses its weight.
 ROBUST_FROM = 6
@@ -54,6 +55,7 @@ class HandEye:
     pose puts the target, less where it is; ``residuals_rad`` (N, 3) its rotation (NaN for points); ``left_out_mm`` (N,)
     how far off a pose puts the target when it took no part in the fit. ``weights`` (N,) in 0..1: near zero, the pose
     does not fit the others. ``starts_differ``: degrees and mm between two closed-form solutions (NaN: only one).
+    ``rotation_rms_deg`` (3,): how far the poses turn about their mean along three axes, largest first.
     ``errors``: of arm and camera, from ``ROBUST_FROM`` poses of a target on; None for points.
     """
 
@@ -66,8 +68,10 @@ class HandEye:
     left_out_mm: Floats
     weights: Floats
     starts_differ: tuple[float, float]
-    spread_deg: Floats
+    rotation_rms_deg: Floats
     errors: PoseErrors | None = None
+
+    spread_deg = renamed_property("spread_deg", "rotation_rms_deg")
 
     @property
     def rms_mm(self) -> float:
@@ -136,7 +140,7 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     """
     mounted = (HandEyeOptions() if options is None else options).mounted
     carrier, target = _checked(T_base_flange, target_camera, mounted)
-    spread, axes = motion_spread(carrier)
+    spread, axes = rotation_rms(carrier)
     refuse_motions(spread, axes, mounted)
     points = target.ndim == 2
     starts, differ = starts_from_points(carrier, target) if points else starts_from_poses(carrier, target)
@@ -147,7 +151,7 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     found = fit(carrier, target, start.X, FitOptions(on_arm, many, many))
     left_out = np.array([left_out_mm(carrier, target, found, row, on_arm) for row in range(len(carrier))])
     return HandEye(
-        found.X, found.Y, mounted, found.covariance, found.place, found.turn, left_out, found.weights, differ,
+        found.X, found.Y, mounted, found.covariance, found.place, found.rotation, left_out, found.weights, differ,
         np.degrees(spread), None if found.sizes is None else PoseErrors(*np.sqrt(found.sizes)),
     )  # fmt: skip
 
@@ -161,24 +165,24 @@ def quick_rms_mm(carrier: Floats, target: Floats) -> float:
     free = max(n - 3, 1) if target.ndim == 2 else max(n - 2, 1)
     rms = (best.place**2).sum() / free
     if target.ndim == 3:
-        rms += LEVER_MM**2 * (best.turn**2).sum() / free
+        rms += LEVER_MM**2 * (best.rotation**2).sum() / free
     return float(np.sqrt(rms))
 
 
-def refuse_motions(spread_rad: Floats, axes: Floats, mounted: str) -> None:
+def refuse_motions(rms_rad: Floats, axes: Floats, mounted: str) -> None:
     """Refuse poses whose rotations (root mean squares (3,) along ``axes`` (3, 3)) leave a direction unknown.
 
     Raises:
         DegenerateError: names the direction.
     """
     frame = "flange" if mounted == "on-arm" else "base"
-    first, second = np.degrees(spread_rad[:2])
-    if first < LEAST_SECOND_AXIS_DEG:
+    first, second = np.degrees(rms_rad[:2])
+    if first < MIN_SECOND_AXIS_DEG:
         raise DegenerateError(
             f"the poses hardly turn ({first:.2g} deg rms about their mean): the camera's translation is free in every"
             " direction; add poses that turn by 20 deg and more about two axes"
         )
-    if second < LEAST_SECOND_AXIS_DEG:
+    if second < MIN_SECOND_AXIS_DEG:
         axis = ", ".join(f"{value:.2f}" for value in axes[0])
         raise DegenerateError(
             f"all motions turn about one axis, ({axis}) in the {frame} frame, within {second:.2g} deg: the camera's"
@@ -186,9 +190,9 @@ def refuse_motions(spread_rad: Floats, axes: Floats, mounted: str) -> None:
         )
 
 
-def motion_spread_of(carrier: Floats) -> Floats | None:
-    """How far poses (N, 4, 4) turn, see ``motion_spread``; None where they leave a direction unknown."""
-    spread, axes = motion_spread(carrier)
+def rotation_rms_of(carrier: Floats) -> Floats | None:
+    """How far poses (N, 4, 4) turn, see ``rotation_rms``; None where they leave a direction unknown."""
+    spread, axes = rotation_rms(carrier)
     try:
         refuse_motions(spread, axes, "on-arm")
     except DegenerateError:
@@ -196,13 +200,13 @@ def motion_spread_of(carrier: Floats) -> Floats | None:
     return spread
 
 
-def free_directions(found: HandEye, most_mm: float = 5.0, most_deg: float = 1.0) -> list[str]:
+def free_directions(found: HandEye, max_mm: float = 5.0, max_deg: float = 1.0) -> list[str]:
     """In words, along and about which directions the camera's place is known worse than so much (one sigma)."""
     told = []
     frame = "flange" if found.mounted == "on-arm" else "base"
     for name, part, most, scale, unit in (
-        ("translation along", slice(0, 3), most_mm, 1.0, "mm"),
-        ("rotation about", slice(3, 6), most_deg, 180 / np.pi, "deg"),
+        ("translation along", slice(0, 3), max_mm, 1.0, "mm"),
+        ("rotation about", slice(3, 6), max_deg, 180 / np.pi, "deg"),
     ):
         values, vectors = np.linalg.eigh(found.covariance[part, part])
         for value, vector in zip(np.sqrt(np.maximum(values, 0)) * scale, vectors.T, strict=True):

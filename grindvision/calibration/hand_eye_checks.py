@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from grindvision.calibration.hand_eye import HandEye, carriers, motion_spread_of, quick_rms_mm
+from grindvision.calibration.hand_eye import HandEye, carriers, quick_rms_mm, rotation_rms_of
 from grindvision.calibration.pose_conventions import PoseConvention, makers_of, other_conventions, poses_from
 from grindvision.errors import GrindvisionError, InputError
 
@@ -29,7 +29,7 @@ STILL = 0.2
 MUCH_BETTER = 3.0
 
 #: Poses up to which all pairs of rows are tried for a swap.
-MOST_SWAPPED = 14
+MAX_SWAPPED = 14
 
 
 def check_repeated(points: Sequence[ArrayLike], names: Sequence[str]) -> None:
@@ -65,7 +65,7 @@ def refuse_still_views(poses: Floats, target: Floats) -> None:
     """
     if target.ndim != 3:
         return
-    arm, seen = (float(np.degrees(np.median(turns_between(one)))) for one in (poses, target))
+    arm, seen = (float(np.degrees(np.median(rotations_between(one)))) for one in (poses, target))
     if seen < STILL * arm:
         raise InputError(
             f"between two poses the arm turns by {arm:.0f} deg in the median, what the camera sees by {seen:.1f} deg:"
@@ -73,7 +73,7 @@ def refuse_still_views(poses: Floats, target: Floats) -> None:
         )
 
 
-def turns_between(poses: Floats) -> Floats:
+def rotations_between(poses: Floats) -> Floats:
     """Angles (K,) in rad by which every pair of poses (N, 4, 4) is turned against each other."""
     first, second = np.triu_indices(len(poses), 1)
     relative = poses[first, :3, :3].swapaxes(1, 2) @ poses[second, :3, :3]
@@ -121,7 +121,7 @@ def rank_conventions(
             carrier = carriers(poses_from(rows, other), mounted)
         except GrindvisionError:
             continue
-        if motion_spread_of(carrier) is not None:
+        if rotation_rms_of(carrier) is not None:
             found.append((quick_rms_mm(carrier, target), other))
     return sorted(found, key=lambda item: (round(item[0], 6), str(item[1])))
 
@@ -185,7 +185,7 @@ def _orders(n: int, names: Sequence[str]) -> Iterator[tuple[list[int], str]]:
     yield plain[::-1], "with the clouds in reverse order"
     for shift in (1, -1):
         yield list(np.roll(plain, shift)), "with the clouds shifted by one row against the poses"
-    if n <= MOST_SWAPPED:
+    if n <= MAX_SWAPPED:
         for i, j in combinations(plain, 2):
             order = plain.copy()
             order[i], order[j] = j, i

@@ -24,7 +24,7 @@ ESTIMATED = range(3, 10)
 @by_content
 @dataclass(frozen=True)
 class HandEyeFit:
-    """``X`` and ``Y`` (4, 4) with what they leave: ``place`` (N, 3) mm, ``turn`` (N, 3) rad (NaN for points).
+    """``X`` and ``Y`` (4, 4) with what they leave: ``place`` (N, 3) mm, ``rotation`` (N, 3) rad (NaN for points).
 
     ``sizes`` (4,): variances of ``hand_eye_noise.components``; None where they were not estimated.
     """
@@ -32,7 +32,7 @@ class HandEyeFit:
     X: Floats
     Y: Floats
     place: Floats
-    turn: Floats
+    rotation: Floats
     weights: Floats
     covariance: Floats
     cost: float

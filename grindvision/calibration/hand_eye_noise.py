@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 ROUNDS = 12
 
 #: No component is less than this fraction of what place, or rotation, shows in the median.
-LEAST_SHARE = 1e-4
+MIN_FRACTION = 1e-4
 
 
 @by_content
@@ -84,5 +84,5 @@ def estimate(rows: Floats, J: Floats, made: Floats, weights: Floats, sizes: Floa
         projector = inverse - weighted @ information @ weighted.swapaxes(1, 2)
         seen = np.einsum("ni,knij,nj->k", shown, made, shown, optimize=True)
         expected = np.einsum("nij,knji->k", projector, made, optimize=True)
-        sizes = np.maximum(sizes * np.sqrt(seen / np.maximum(expected, 1e-300)), LEAST_SHARE * usual)
+        sizes = np.maximum(sizes * np.sqrt(seen / np.maximum(expected, 1e-300)), MIN_FRACTION * usual)
     return sizes

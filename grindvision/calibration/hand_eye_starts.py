@@ -11,10 +11,10 @@ from grindvision.geometry import angle_between, inverse, nearest_rotation, rigid
 Floats = NDArray[np.float64]
 
 #: Motions that turn less (rad) say too little about the rotation to take part in a closed form.
-LEAST_TURN_RAD = 0.02
+MIN_ROTATION_RAD = 0.02
 
 
-def motion_spread(carrier: Floats) -> tuple[Floats, Floats]:
+def rotation_rms(carrier: Floats) -> tuple[Floats, Floats]:
     """How far poses (N, 4, 4) turn about their mean: root mean squares (3,) in rad, falling, and their axes (3, 3).
 
     The axes, a row each, are in the frame that the poses carry.
@@ -31,7 +31,7 @@ def pair_motions(carrier: Floats, target: Floats) -> tuple[Floats, Floats]:
     A = inverse(carrier[second]) @ carrier[first]
     B = target[second] @ inverse(target[first])
     turns = Rotation.from_matrix(A[:, :3, :3]).magnitude()
-    chosen = turns > min(LEAST_TURN_RAD, float(np.median(turns)))
+    chosen = turns > min(MIN_ROTATION_RAD, float(np.median(turns)))
     return A[chosen], B[chosen]
 
 

@@ -25,7 +25,7 @@ SCATTERS, THRESHOLDS_MM = 4.0, (0.25, 2.0)
 FEWEST_POINTS, CELL_SPACINGS = 200, 2.5
 
 #: The sides may differ from those stated by this share, and by so many spacings; so much of the rectangle is filled.
-SIDE_TOLERANCE, SIDE_SPACINGS, LEAST_FILLED = 0.04, 3.0, 0.8
+SIDE_TOLERANCE, SIDE_SPACINGS, MIN_FILLED = 0.04, 3.0, 0.8
 
 #: A rectangle round points whose sides are off by less (share) is looked at closely.
 LIKELY = 0.25
@@ -58,7 +58,7 @@ def find_plate(points_camera: ArrayLike, sides_mm: tuple[float, float], rng: np.
                 frame, sides, filled = _refined(points, frame, (long, short), threshold)
             allowed = [SIDE_TOLERANCE * side + SIDE_SPACINGS * spacing for side in (long, short)]
             fits = abs(sides[0] - long) <= allowed[0] and abs(sides[1] - short) <= allowed[1]
-            if fits and filled >= LEAST_FILLED:
+            if fits and filled >= MIN_FILLED:
                 return frame
         if off < least and np.isfinite(sides[0]):
             least, seen = off, sides

@@ -19,7 +19,7 @@ SQUARE = 0.06
 MISREAD_DEG = 2.0
 
 #: A pair of views tells two ways round apart where its angles differ by more (rad).
-LEAST_LEAD = 0.06
+MIN_LEAD = 0.06
 
 
 def fold_of(sides_mm: tuple[float, float]) -> int:
@@ -90,7 +90,7 @@ def _telling(ways: Floats, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
     for row in range(len(ways)):
         seen = _seen(ways, chosen, row)
         others = np.delete(seen, chosen[row], axis=0)
-        telling[row] = (np.abs(others - seen[chosen[row]]) > LEAST_LEAD).all(axis=0)
+        telling[row] = (np.abs(others - seen[chosen[row]]) > MIN_LEAD).all(axis=0)
     return telling
 
 

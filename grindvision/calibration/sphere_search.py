@@ -22,7 +22,7 @@ THRESHOLD_RADII, THRESHOLDS_MM = 0.0125, (0.3, 1.5)
 TRIAL_TOLERANCE, RADIUS_TOLERANCE = 0.15, 0.04
 
 #: Points of a sphere at least, how far (radii) the cap must reach across, and the share of points there that lie on it.
-FEWEST_POINTS, LEAST_REACH, LEAST_SHARE = 60, 0.5, 0.85
+FEWEST_POINTS, MIN_REACH, MIN_FRACTION = 60, 0.5, 0.85
 
 
 def cut_out_sphere(points_camera: ArrayLike, diameter_mm: float, rng: np.random.Generator, name: str) -> SphereFit:
@@ -102,4 +102,4 @@ def _is_a_cap(points: Floats, fit: SphereFit) -> bool:
     along = rays @ pole / np.maximum(distance, 1e-9)
     inside = (along > np.quantile(along[fit.inliers], 0.2)) & (distance > 0.5) & (distance < 1.3)
     across = np.sqrt(np.maximum(1 - along[fit.inliers] ** 2, 0.0))
-    return bool(np.quantile(across, 0.95) > LEAST_REACH and fit.inliers[inside].mean() > LEAST_SHARE)
+    return bool(np.quantile(across, 0.95) > MIN_REACH and fit.inliers[inside].mean() > MIN_FRACTION)

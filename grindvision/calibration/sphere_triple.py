@@ -14,7 +14,7 @@ from grindvision.geometry import fit_rigid
 Floats = NDArray[np.float64]
 
 #: Sides of the triangle must differ by so much (mm), and it must be so high over its longest side (share).
-LEAST_DIFFERENCE_MM, LEAST_HEIGHT = 4.0, 0.1
+MIN_DIFFERENCE_MM, MIN_HEIGHT = 4.0, 0.1
 
 #: A view whose sides differ from those of the others by more (mm) shows other spheres.
 SAME_SIDES_MM = 2.0
@@ -54,15 +54,15 @@ def poses_of_triples(centres: Floats, names: list[str]) -> Floats:
     """
     sides = np.sort(_sides(centres), axis=1)
     usual = np.median(sides, axis=0)
-    if np.diff(usual).min() < LEAST_DIFFERENCE_MM:
+    if np.diff(usual).min() < MIN_DIFFERENCE_MM:
         told = ", ".join(f"{side:.1f}" for side in usual)
         raise AmbiguousError(
             f"the three spheres stand {told} mm apart: two distances are equal, and a turn or a mirror image of the"
-            f" three looks alike; place them so that the distances differ by more than {LEAST_DIFFERENCE_MM:g} mm"
+            f" three looks alike; place them so that the distances differ by more than {MIN_DIFFERENCE_MM:g} mm"
         )
     half = usual.sum() / 2
     height = 2 * np.sqrt(max(half * np.prod(half - usual), 0.0)) / usual[2]
-    if height < LEAST_HEIGHT * usual[2]:
+    if height < MIN_HEIGHT * usual[2]:
         raise DegenerateError(
             f"the three spheres stand in a line within {height:.1f} mm: the rotation about it is free; move one aside"
         )

@@ -296,6 +296,7 @@ def _coverage(coverage: Coverage) -> dict[str, Any]:
         ("sample", coverage.sample_fraction, coverage.sample_missed_mm2, coverage.sample_missed),
     )
     heights = {"median": coverage.height_mm, "on_95_percent": coverage.height_95_mm}
+    stated = {name: height if height < math.inf else None for name, height in heights.items()}
     return {
         **{
             name: {
@@ -305,7 +306,9 @@ def _coverage(coverage: Coverage) -> dict[str, Any]:
             }
             for name, fraction, area_mm2, places in sides
         },
-        "least_height_mm": {name: height if height < math.inf else None for name, height in heights.items()},
+        "min_height_mm": stated,
+        "min_width_mm": coverage.width_mm,
+        "least_height_mm": stated,  # the keys of 0.1, for one version
         "least_width_mm": coverage.width_mm,
     }
 

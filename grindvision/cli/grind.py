@@ -210,8 +210,8 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("read"):
             sample, test, clouds = read_sample_and_test(options, field)
             keep_out = _keep_out(options)
-        for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
-            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
+        for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
+            warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         asked = GrindOptions(
             settings,
             keep_out=keep_out,

@@ -49,8 +49,8 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         paths = (options.sample, options.test)
         with work.stage("read"):
             sample, new, clouds = read_sample_and_test(options, field)
-        for doubt in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, new):
-            warnings.warn(doubt, GrindvisionWarning, stacklevel=1)
+        for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, new):
+            warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         asked = GrindAgainOptions(
             GrindOptions(
                 seed=options.seed,

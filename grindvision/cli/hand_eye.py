@@ -207,7 +207,7 @@ def _results(found: HandEye, seen: TargetSeen) -> dict[str, Any]:
         "rms_mm": found.rms_mm,
         "left_out_mm": found.left_out_mm,
         **seen.results,
-        "motions_deg": found.spread_deg,
+        "motions_deg": found.rotation_rms_deg,
         "sigma_mm": found.sigma_mm,
         "sigma_deg": found.sigma_deg,
         "errors": None if found.errors is None else asdict(found.errors),

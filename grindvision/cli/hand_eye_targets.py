@@ -186,9 +186,9 @@ def pairs_of_views(count: int, poses: np.ndarray | None) -> list[tuple[int, int]
     if poses is None:
         apart = np.array([float(b - a) for a, b in pairs])
     else:
-        from grindvision.calibration.hand_eye_checks import turns_between
+        from grindvision.calibration.hand_eye_checks import rotations_between
 
-        apart = turns_between(poses)
+        apart = rotations_between(poses)
     order = np.argsort(np.round(apart, 9), kind="stable")
     pairs = [pairs[at] for at in order]
     if count <= ALL_PAIRS:

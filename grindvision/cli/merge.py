@@ -78,10 +78,10 @@ def run(options: argparse.Namespace) -> int:
         worst_mm = float(meeting.pair_mm[first, second])
         names = [Path(name).name for name in options.clouds]
         worst = f"the worst pair, {names[first]} and {names[second]}, within {worst_mm:.2f} mm"
-        doubts = [f"{options.clouds[row]} overlaps no other view" for row in meeting.alone]
+        findings = [f"{options.clouds[row]} overlaps no other view" for row in meeting.alone]
         if worst_mm > max(MUCH_WORSE * meeting.overall_mm, WORTH_MM):
-            doubts.append(f"{worst}, far more than the others: wrong pose, or did the part move?")
-        for text in [*check_pose_rows(flange), *doubts]:
+            findings.append(f"{worst}, far more than the others: wrong pose, or did the part move?")
+        for text in [*check_pose_rows(flange), *findings]:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
             write_ply(work.place / "merged.ply", meeting.points)

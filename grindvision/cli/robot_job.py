@@ -309,5 +309,6 @@ def motion_facts(motion: Motion) -> dict[str, Any]:
         "clearance_between": [first, second],
         "duration_s": motion.timing.time_s[-1],
         "torch_speed_mm_s": motion.timing.asked_speed_mm_s,
-        "steady_share": motion.timing.steady_fraction,
+        "steady_fraction": motion.timing.steady_fraction,
+        "steady_share": motion.timing.steady_fraction,  # the key of 0.1, for one version
     }

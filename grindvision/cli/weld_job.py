@@ -135,7 +135,7 @@ def groove_section(groove: DetectedGroove) -> GrooveSection:
         float(np.median(((edge - groove.root) * frames[:, :3, 1]).sum(axis=1))) for edge in (groove.left, groove.right)
     ]
     left, right = max(-min(sides), 0.0), max(*sides, 0.0)
-    gap = min(groove.floor_share * (left + right), 2 * left, 2 * right)
+    gap = min(groove.floor_fraction * (left + right), 2 * left, 2 * right)
     section = GrooveSection(left, right, float(np.median(groove.depth_mm)), gap)
     low, high = np.quantile(groove.width_mm * groove.depth_mm, [0.1, 0.9]) / 2
     if high - low > VARYING_SECTION * section.area_mm2:

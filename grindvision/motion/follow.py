@@ -152,9 +152,9 @@ def _drive(
 
 def _spun_like(pose: Floats, rotation: Floats) -> Floats:
     """The pose spun about its own z so that it differs from ``rotation`` by the least turn."""
-    least_turn = pin.Quaternion.FromTwoVectors(rotation[:, 2], pose[:3, 2]).matrix()
+    shortest_rotation = pin.Quaternion.FromTwoVectors(rotation[:, 2], pose[:3, 2]).matrix()
     spun = pose.copy()
-    spun[:3, :3] = least_turn @ rotation
+    spun[:3, :3] = shortest_rotation @ rotation
     return spun
 
 

@@ -49,7 +49,7 @@ class Workpiece:
     """What is ground: ``heights`` over the good surface; ``inside`` (R, C) the nodes of the stock.
 
     ``keep`` (R, C): nodes that must not be touched; ``level_mm``: the level of detection; ``sigma_mm``: standard
-    deviation of the good surface under the stock; ``course_mm`` (M, 2): the bead's course on the map, or None.
+    deviation of the good surface under the stock; ``centreline_mm`` (M, 2): the bead's centreline on the map, or None.
     ``offset_mm``: how much higher over the good surface the wheel runs than it is sent, with its standard deviation
     ``offset_sigma_mm``: errors of scanner, hand-eye and arm, which no difference of scans shows; 0 and 0 where it was
     touched off on that surface.
@@ -60,7 +60,7 @@ class Workpiece:
     keep: Flags
     level_mm: float
     sigma_mm: float
-    course_mm: Floats | None = None
+    centreline_mm: Floats | None = None
     offset_mm: float = 0.0
     offset_sigma_mm: float = 0.0
 
@@ -235,7 +235,7 @@ def _strokes(
     """The strokes of one pass that touch anything."""
     region = _without_specks(work.inside & (np.nan_to_num(heights, nan=-np.inf) > floor + TOUCH_MM))
     width = options.contact_width_mm
-    lines = grinding_lines(work.heights, region, options.pattern, width, options.overlap, work.course_mm)
+    lines = grinding_lines(work.heights, region, options.pattern, width, options.overlap, work.centreline_mm)
     floors = _floors(work, options, floor)
     strokes = []
     for line in lines:

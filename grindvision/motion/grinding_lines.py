@@ -1,7 +1,7 @@
-"""Lines over a height map that a wheel follows: along a course, in straight rows, or around, level lines all three.
+"""Lines over a height map that a wheel follows: along a centreline, in straight rows, or around, level lines all three.
 
 Each pattern is a field over the nodes of the map; its level lines, a contact's width less the overlap apart, are the
-lines: distance from the bead's course, place across the rows, distance from the rim of what is to be ground.
+lines: distance from the bead's centreline, place across the rows, distance from the rim of what is to be ground.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ GROWN = 2
 
 
 def grinding_lines(
-    heights: HeightMap, region: Flags, pattern: str, width_mm: float, overlap: float, course: Floats | None
+    heights: HeightMap, region: Flags, pattern: str, width_mm: float, overlap: float, centreline: Floats | None
 ) -> list[Floats]:
     """Lines (K, 2), x and y in mm on the map, that cover a region (R, C), in the order they are worked.
 
     Args:
         heights: the map.
         region: nodes that are to be ground.
-        pattern: ``bead``, ``raster`` or ``contour``; without a course, a bead is worked in rows.
+        pattern: ``bead``, ``raster`` or ``contour``; without a centreline, a bead is worked in rows.
         width_mm: of the contact, across the line.
         overlap: of neighbouring lines, a fraction of the width.
-        course: the bead's (M, 2), on the map, or None.
+        centreline: the bead's (M, 2), on the map, or None.
     """
     if not region.any():
         return []
     spacing_mm = width_mm * (1 - overlap)
     if pattern == "contour":
         return _around(heights, region, width_mm, spacing_mm)
-    if pattern == "bead" and course is not None and len(course) > 2:
-        field = _signed_distance(heights, course)
+    if pattern == "bead" and centreline is not None and len(centreline) > 2:
+        field = _signed_distance(heights, centreline)
     else:
         field = np.broadcast_to(heights.y_mm, heights.shape).copy()
     rim = heights.spacing_mm / 2
@@ -98,18 +98,21 @@ def _stroke(heights: HeightMap, region: Flags) -> Floats:
     return middle + np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]) * heights.spacing_mm
 
 
-def _signed_distance(heights: HeightMap, course: Floats) -> Floats:
-    """Distance (R, C) in mm from a course (M, 2), above zero on its left; straight on beyond its ends."""
+def _signed_distance(heights: HeightMap, centreline: Floats) -> Floats:
+    """Distance (R, C) in mm from a centreline (M, 2), above zero on its left; straight on beyond its ends."""
     from scipy.spatial import cKDTree
 
     far = 2 * float(np.hypot(*heights.shape)) * heights.spacing_mm
     step = heights.spacing_mm / 4
-    ends = [course[0] - course[min(3, len(course) - 1)], course[-1] - course[max(-4, -len(course))]]
+    ends = [
+        centreline[0] - centreline[min(3, len(centreline) - 1)],
+        centreline[-1] - centreline[max(-4, -len(centreline))],
+    ]
     runs = [
         end + np.arange(step, far, heights.spacing_mm)[:, None] * away / np.linalg.norm(away)
-        for end, away in zip((course[0], course[-1]), ends, strict=True)
+        for end, away in zip((centreline[0], centreline[-1]), ends, strict=True)
     ]
-    line = resampled(np.vstack([runs[0][::-1], course, runs[1]]), step)
+    line = resampled(np.vstack([runs[0][::-1], centreline, runs[1]]), step)
     tangents = np.gradient(line, axis=0)
     x, y = np.meshgrid(heights.x_mm, heights.y_mm, indexing="ij")
     places = np.column_stack([x.ravel(), y.ravel()])

@@ -9,7 +9,7 @@ import numpy as np
 from grindvision.errors import InputError
 
 PATTERNS = ("bead", "raster", "contour")
-"""Along the bead's course; in straight lines; along the rim of what is left, inwards."""
+"""Along the bead's centreline; in straight lines; along the rim of what is left, inwards."""
 
 TOOLS = ("wheel", "disc")
 """A wheel grinds with its circumference, its axis across the feed; a disc with its face, tilted forward."""

@@ -138,10 +138,10 @@ def driven(path: ToolPath) -> ToolPath:
     pieces = np.maximum(np.ceil(away / LONGEST_STEP_MM).astype(int), 1)
     at = np.concatenate([start + np.arange(count) / count for start, count in enumerate(pieces)] + [[len(path) - 1.0]])
     low = np.minimum(at.astype(int), len(path) - 2) if len(path) > 1 else at.astype(int)
-    share = (at - low)[:, None]
+    fraction = (at - low)[:, None]
 
     def between(values: Floats) -> Floats:
-        return (1 - share) * values[low] + share * values[np.minimum(low + 1, len(values) - 1)]
+        return (1 - fraction) * values[low] + fraction * values[np.minimum(low + 1, len(values) - 1)]
 
     nearest = np.rint(at).astype(int)
     kinds = np.where(at == nearest, path.kinds[nearest], RETRACT)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import CollisionError, InputError, UnreachableError
+from grindvision.lazy import renamed_fields
 from grindvision.loose_settings import settings_in
 from grindvision.motion.clearance import Clearance, Obstacle, measure_clearance, table
 from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
@@ -24,13 +25,14 @@ Floats = NDArray[np.float64]
 WAY_STEP_MM = 10.0
 
 
+@renamed_fields(least_clearance_mm="min_clearance_mm")
 @by_content
 @dataclass(frozen=True)
 class PlanMotionOptions:
     """Settings of ``plan_motion``, lengths in mm, base frame.
 
     ``tool_speed_mm_s`` along the seam; ``obstacles`` beside the table, whose top is at z = ``table_top_mm``; the tool
-    backs off by ``backed_off_mm`` before and behind the seam; ``least_clearance_mm`` is kept to everything.
+    backs off by ``backed_off_mm`` before and behind the seam; ``min_clearance_mm`` is kept to everything.
     ``spin_free``: the tool may turn about its own axis, as a round one may. ``seed`` of the random start angles.
     ``tool_acceleration_mm_s2`` along the path, which a weave needs more of.
     """
@@ -39,7 +41,7 @@ class PlanMotionOptions:
     obstacles: Sequence[Obstacle] = ()
     table_top_mm: float = 0.0
     backed_off_mm: float = 40.0
-    least_clearance_mm: float = 2.0
+    min_clearance_mm: float = 2.0
     spin_free: bool = False
     seed: int | np.random.Generator = 0
     tool_acceleration_mm_s2: float = TOOL_ACCELERATION
@@ -108,7 +110,7 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     """
     options = PlanMotionOptions() if options is None else options
     rng, spin_free = np.random.default_rng(options.seed), options.spin_free
-    table_top_mm, least_clearance_mm = options.table_top_mm, options.least_clearance_mm
+    table_top_mm, min_clearance_mm = options.table_top_mm, options.min_clearance_mm
     _check_above_table(trajectory, table_top_mm)
     followed: list[tuple[JointPath, Floats, int]] = []
     complaints: list[UnreachableError] = []
@@ -127,7 +129,7 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     blocked: list[Clearance] = []
     for path, q, way in followed:
         free = _ways_as_one(measure_clearance(robot, q, [the_table, *options.obstacles]), way)
-        if free.min_mm >= least_clearance_mm:
+        if free.min_mm >= min_clearance_mm:
             timing = time_law(
                 path,
                 robot.limits,
@@ -141,7 +143,7 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     where = min(max(tightest.tightest - 1, 0), len(trajectory.T_base_tool) - 1)
     raise CollisionError(
         f"{first} and {second} come within {tightest.min_mm:.1f} mm near way point {where}, even on the best of"
-        f" {len(followed)} branches of {robot.name}; {least_clearance_mm:g} mm is asked for: move or turn the work, or"
+        f" {len(followed)} branches of {robot.name}; {min_clearance_mm:g} mm is asked for: move or turn the work, or"
         " tilt the tool"
     )
 

@@ -89,31 +89,31 @@ def learn_removal(
     """
     used = _used_nodes(plan, after_mm, sigma_mm)
     weights, after = 1 / np.maximum(sigma_mm[used], 1e-9) ** 2 / alike_nodes, after_mm[used]
-    doubt = plan.work.offset_sigma_mm
+    prior_sigma = plan.work.offset_sigma_mm
 
     def left(factor: float, offset_mm: float) -> Floats:
         for heights in simulate_passes(plan, plan.work.heights.heights_mm - offset_mm, factor):
             last = heights
         return last[used] + offset_mm
 
-    def cost(log_factor: float, doubts: float = 0.0) -> float:
+    def cost(log_factor: float, deviations: float = 0.0) -> float:
         factor = float(np.exp(np.clip(log_factor, np.log(SMALLEST), np.log(LARGEST))))
-        return float((weights * (after - left(factor, doubts * doubt)) ** 2).sum()) + doubts**2
+        return float((weights * (after - left(factor, deviations * prior_sigma)) ** 2).sum()) + deviations**2
 
     log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
-    tried = np.linspace(-3, 3, TRIED_OFFSETS) if doubt else [0.0]
+    tried = np.linspace(-3, 3, TRIED_OFFSETS) if prior_sigma else [0.0]
     found = np.array(min(((one, other) for one in log_factors for other in tried), key=lambda terms: cost(*terms)))
-    free = 2 if doubt else 1
+    free = 2 if prior_sigma else 1
     found[:free] = _best(lambda terms: cost(*terms), found[:free])
-    factor, offset = float(np.exp(found[0])), float(found[1]) * doubt
+    factor, offset = float(np.exp(found[0])), float(found[1]) * prior_sigma
     lag = float((left(factor, offset) - left(WHOLE, offset)).mean())
-    at_least = lag < plan.work.level_mm * (1.0 if doubt else KNOWN)
-    if at_least and doubt:
-        offset = doubt * float(_best(lambda doubts: cost(np.log(WHOLE), *doubts), found[1:])[0])
+    at_least = lag < plan.work.level_mm * (1.0 if prior_sigma else KNOWN)
+    if at_least and prior_sigma:
+        offset = prior_sigma * float(_best(lambda deviations: cost(np.log(WHOLE), *deviations), found[1:])[0])
     k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_sigma_mm)
     if at_least:
         # a lag too small to be told apart from an offset would pass for one
-        factor, k_sigma, offset_sigma = min(factor, 1.0), np.inf, min(float(np.hypot(offset_sigma, lag)), doubt)
+        factor, k_sigma, offset_sigma = min(factor, 1.0), np.inf, min(float(np.hypot(offset_sigma, lag)), prior_sigma)
     planned = plan.options.k_mm2_n
     return LearntRemoval(planned * factor, planned * k_sigma, factor, lag, at_least, offset, offset_sigma)
 
@@ -156,19 +156,19 @@ def _sigmas(
     common_sigma_mm: float,
 ) -> tuple[float, float]:
     """Standard deviations of the factor, unless it is ``at_least``, and of the offset; ``weights`` (N,) of nodes."""
-    (factor, offset), doubt = found, plan.work.offset_sigma_mm
+    (factor, offset), prior_sigma = found, plan.work.offset_sigma_mm
     slopes, prior = [], []
     if not at_least:
         slopes.append((left(factor * (1 + STEP), offset) - left(factor * (1 - STEP), offset)) / (2 * STEP * factor))
         prior.append(1e-12)
-    if doubt:
-        step, there = 0.2 * doubt, WHOLE if at_least else factor
+    if prior_sigma:
+        step, there = 0.2 * prior_sigma, WHOLE if at_least else factor
         slopes.append((left(there, offset + step) - left(there, offset - step)) / (2 * step))
-        prior.append(1 / doubt**2)
+        prior.append(1 / prior_sigma**2)
     if not slopes:
         return np.inf, 0.0
     design = np.array(slopes)
     covariance = np.linalg.inv((design * weights) @ design.T + np.diag(prior))
     common = covariance @ (design * weights).sum(axis=1)
     sigmas = np.sqrt(np.diag(covariance + common_sigma_mm**2 * np.outer(common, common)))
-    return (np.inf if at_least else float(sigmas[0])), min(float(sigmas[-1]), doubt) if doubt else 0.0
+    return (np.inf if at_least else float(sigmas[0])), min(float(sigmas[-1]), prior_sigma) if prior_sigma else 0.0

@@ -67,10 +67,10 @@ class Weave:
 
     def positions_mm(self, seam_mm: float) -> Floats:
         """Lengths along a seam of ``seam_mm`` at which the tip needs a position, ascending, both ends among them."""
-        shares, angles = self._phases()
+        fractions, angles = self._phases()
         count = SINE_POSITIONS if self.shape == "sine" else 4
         wanted = np.linspace(0.0, 2 * np.pi, count + 1)
-        one = np.unique(np.concatenate([shares, np.interp(wanted, angles + 1e-9 * np.arange(6), shares)]))
+        one = np.unique(np.concatenate([fractions, np.interp(wanted, angles + 1e-9 * np.arange(6), fractions)]))
         swings = np.arange(int(np.ceil(seam_mm / self.length_mm)))
         at = self.length_mm * np.unique((swings[:, None] + one).ravel().round(9))
         inside = at[(at > 0.02) & (at < seam_mm - 0.02)]
@@ -104,5 +104,5 @@ class Weave:
         """Shares of a swing (6,) and the angle of the wave there, rad: it stands still at both toes."""
         rest = self.dwell_mm / self.length_mm
         move = (1 - 2 * rest) / 4
-        shares = np.cumsum([0.0, move, rest, 2 * move, rest, move])
-        return shares, np.pi * np.array([0.0, 0.5, 0.5, 1.5, 1.5, 2.0])
+        fractions = np.cumsum([0.0, move, rest, 2 * move, rest, move])
+        return fractions, np.pi * np.array([0.0, 0.5, 0.5, 1.5, 1.5, 2.0])

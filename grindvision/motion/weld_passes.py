@@ -57,8 +57,8 @@ class GrooveSection:
 
     def walls_mm(self, height_mm: float) -> tuple[float, float]:
         """How far the left and the right wall are from the root's middle at a height over the root."""
-        share, half = height_mm / self.depth_mm, self.gap_mm / 2
-        return half + share * (self.left_mm - half), half + share * (self.right_mm - half)
+        fraction, half = height_mm / self.depth_mm, self.gap_mm / 2
+        return half + fraction * (self.left_mm - half), half + fraction * (self.right_mm - half)
 
     def height_mm(self, area_mm2: float) -> float:
         """Height over the root up to which an area fills the groove."""

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Search = Callable[[Floats], Floats]
 
 #: Edge of the cells of our grid, and how far it looks, mm.
-CELL_MM, MOST_MM = 2.0, 60.0
+CELL_MM, MAX_MM = 2.0, 60.0
 
 #: Points that FLANN tunes its parameters on.
 TUNED_ON = 1000
@@ -98,4 +98,4 @@ def _small_gicp(points: Floats) -> Search:
 
 def _grid(points: Floats) -> Search:
     cells = build_cells(points, CELL_MM)
-    return lambda queries: nearest(cells, queries, MOST_MM)[1]
+    return lambda queries: nearest(cells, queries, MAX_MM)[1]

@@ -37,7 +37,7 @@ STANDS_MM = 0.05
 TOLERANCE_MM = 0.2
 """Nothing of the bead may stand higher for the loop to end."""
 
-MOST_SCANS = 4
+MAX_SCANS = 4
 """The loop ends after so many scans of ground parts."""
 
 
@@ -138,7 +138,7 @@ def jobs(scene: GrindingScene, shop: Shop, seed: int, every: int = 1) -> Iterato
         first.T_sample_test, (job.piece,), (job.plan,), shop.passes, T_base_scanner=scene.test.T_world_scanner
     )
     serial = int(np.random.default_rng(seed).integers(2**31))
-    for number in range(1, MOST_SCANS + 1):
+    for number in range(1, MAX_SCANS + 1):
         fresh = grinding_scene(
             np.random.default_rng([seed, number]), scanner=StructuredLightScanner(serial=serial), every=every
         ).test

@@ -1,4 +1,4 @@
-"""The rough course of a bead: its cells walked from one end, cut into bands of equal walking distance, in order.
+"""The rough centreline of a bead: its cells walked from one end, cut into bands of equal walking distance, in order.
 
 The bands tell an open bead from a closed one and from one that branches.
 """

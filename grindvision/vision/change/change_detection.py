@@ -20,6 +20,7 @@ from grindvision.geometry import check_points, inverse, move_points, rotate_vect
 from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
 from grindvision.geometry.neighbours import nearest, within_radius
 from grindvision.kernels import njit
+from grindvision.lazy import renamed_property
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.visibility import in_front, surrounded
@@ -36,7 +37,7 @@ Flags = NDArray[np.bool_]
 MAX_CHANGED = 0.4
 """Fraction of the common surface that may differ; above, the test scan shows another part."""
 
-LEAST_LEVELS = 4.0
+MIN_LEVELS = 4.0
 """A bead is told when it stands twice the firm level out over enough surfels; the mean of a cell is lower than its
 ridge."""
 
@@ -87,13 +88,16 @@ class Difference:
     comparable: Flags
     cell_mm: float
 
-    @property
-    def least_height_mm(self) -> Floats:
-        """Height (M,) in mm from which a bead is certain to be told at each surfel; infinite where nothing would be."""
-        return np.where(self.comparable, LEAST_LEVELS * self.firm_level_mm, np.inf)
+    least_height_mm = renamed_property("least_height_mm", "min_height_mm")
+    least_width_mm = renamed_property("least_width_mm", "min_width_mm")
 
     @property
-    def least_width_mm(self) -> float:
+    def min_height_mm(self) -> Floats:
+        """Height (M,) in mm from which a bead is certain to be told at each surfel; infinite where nothing would be."""
+        return np.where(self.comparable, MIN_LEVELS * self.firm_level_mm, np.inf)
+
+    @property
+    def min_width_mm(self) -> float:
         """Width in mm from which a bead of the least height is told: narrower ones are averaged with what is beside."""
         return 3 * self.cell_mm
 

@@ -83,7 +83,7 @@ def find_coverage(source: Scan, target: Scan, registration: FineRegistration, di
     if (~shown).any() and difference.clusters:
         feet = np.concatenate([one.points - one.signed_mm[:, None] * one.normals for one in difference.clusters])
         shown |= nearest(build_cells(feet, 2 * size), surface, 2 * size)[0] >= 0
-    heights = difference.least_height_mm[difference.comparable]
+    heights = difference.min_height_mm[difference.comparable]
     told = len(heights) > 0
     return Coverage(
         float(difference.comparable.mean()),
@@ -94,7 +94,7 @@ def find_coverage(source: Scan, target: Scan, registration: FineRegistration, di
         float((~shown).sum()) * size**2 * AREA_PER_CELL,
         float(np.median(heights)) if told else np.inf,
         float(np.quantile(heights, 0.95)) if told else np.inf,
-        difference.least_width_mm,
+        difference.min_width_mm,
     )
 
 
@@ -129,7 +129,7 @@ def cannot_show(difference: Difference, height_mm: float) -> tuple[float, tuple[
     """
     if not 0 < height_mm < np.inf:
         raise InputError(f"a height of {height_mm} mm was asked for; it must be above zero")
-    blind = difference.least_height_mm > height_mm
+    blind = difference.min_height_mm > height_mm
     return float(blind.mean()), patches(difference.surfels[blind], difference.cell_mm)
 
 

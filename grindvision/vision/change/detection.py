@@ -21,7 +21,7 @@ from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.datum import refine_on_datum
 from grindvision.vision.registration.face_offsets import FaceOffset, FaceReading, read_faces
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.model_registration import doubts_of_model, register_to_model
+from grindvision.vision.registration.model_registration import diagnose_model, register_to_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface
@@ -159,11 +159,11 @@ def detect(
     difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
     clock.lap("difference")
     coverage = find_coverage(found.source, found.target, found.fine, difference)
-    against = reading.doubts(nothing_found=not difference.clusters)
+    against = reading.diagnose(nothing_found=not difference.clusters)
     if not reading.off:  # a face that is off looks like another scale, and like missing material elsewhere
         against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
     against += _unseen(found, difference, coverage)
-    against += () if surface is None else doubts_of_model(surface.facets)
+    against += () if surface is None else diagnose_model(surface.facets)
     try:
         beads = _follow(difference, options.points, one_face=reading.settled is not None)
     except DegenerateError as error:
@@ -210,12 +210,12 @@ def _coarser(found: Registration, difference: Difference) -> str:
     source, target = found.source, found.target
     per_cell = [len(scan.points) / len(scan.surfels) for scan in (target, source)]
     times = 0.0 if target.sided else float(np.sqrt(per_cell[0] / per_cell[1]))
-    wide = difference.least_width_mm > WIDE * np.linalg.norm(np.ptp(source.surfels.points, axis=0))
+    wide = difference.min_width_mm > WIDE * np.linalg.norm(np.ptp(source.surfels.points, axis=0))
     if times < MUCH_COARSER and not wide:
         return ""
     beside = f" {times:.1f} times as far apart as the sample's" if times >= MUCH_COARSER else " far apart"
     return (
-        f"the test scan's points stand{beside}: beads narrower than {difference.least_width_mm:.2g} mm would not be"
+        f"the test scan's points stand{beside}: beads narrower than {difference.min_width_mm:.2g} mm would not be"
         " seen; scan the test part more finely"
     )
 

@@ -58,10 +58,10 @@ def minimal_box(points: ArrayLike) -> OrientedBox:
     _, faces = np.unique(np.round(hull.equations[:, :3], 6), axis=0, return_index=True)
     normals = hull.equations[faces, :3] / np.linalg.norm(hull.equations[faces, :3], axis=1, keepdims=True)
     heights = np.ptp(corners @ normals.T, axis=0)
-    least_volumes = heights * _shadows(hull, normals)  # a rectangle around the shadow is no smaller than the shadow
+    volume_bounds = heights * _shadows(hull, normals)  # a rectangle around the shadow is no smaller than the shadow
     best, least = np.eye(3), np.inf
-    for face in np.argsort(least_volumes, kind="stable"):
-        if least_volumes[face] > least:
+    for face in np.argsort(volume_bounds, kind="stable"):
+        if volume_bounds[face] > least:
             break
         normal = normals[face]
         across = np.linalg.svd(normal[None])[2][1:]

@@ -1,6 +1,6 @@
 """Path points along the ridge of a bead (ours, in place of section 3.6's boxes).
 
-The bead's rough course comes from ``bead_centreline``. The ridge is where the height over the good surface is
+The bead's rough centreline comes from ``bead_centreline``. The ridge is where the height over the good surface is
 greatest across the bead: the top of a quartic fitted across, which uneven sampling does not pull aside as it does a
 centroid, and which fits round, bell-shaped and lopsided beads as well as a parabola.
 """
@@ -37,7 +37,7 @@ POWERS = np.arange(1, 5)
 """Of the distance across, in widths: the terms of a cross-section; where one flank is not shown, the first two."""
 
 FARTHEST = 0.36
-"""So many widths from the course the ridge may lie; what seems farther is a flank without a top."""
+"""So many widths from the centreline the ridge may lie; what seems farther is a flank without a top."""
 
 ACROSS = np.linspace(-FARTHEST, FARTHEST, 101)
 ACROSS_POWERS = ACROSS[:, None] ** POWERS
@@ -50,7 +50,7 @@ CREST_QUANTILE, MIN_CREST_CELLS = 0.7, 4.0
 must be so many cells long."""
 
 FIN_CELLS = 0.25
-"""A piece whose feet lie within so many cells of its course is a fin and has no cross-section."""
+"""A piece whose feet lie within so many cells of its centreline is a fin and has no cross-section."""
 
 FACE_MM, FACE_TOP, FACE_FRACTION = 12.0, 0.6, 0.75
 """A piece so wide, of whose points such a fraction stands higher than such a share of its peak, is a face, no bead."""
@@ -99,10 +99,10 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
         raise InputError(f"{points} path points asked for; at least 1 is needed")
     curve, closed, width = bead_centreline(cluster)
     _refuse_face(cluster, width)
-    course = Curve(curve, closed)
+    centreline = Curve(curve, closed)
     for follow in (_follow_sections, _follow_crest):
         try:
-            path = _placed(cluster, *follow(cluster, course, width), closed, width, points)
+            path = _placed(cluster, *follow(cluster, centreline, width), closed, width, points)
         except TooSmallError:
             if follow is _follow_crest:
                 raise
@@ -156,22 +156,22 @@ def _placed(
     )
 
 
-def _follow_sections(cluster: Cluster, course: Curve, width: float) -> tuple[Floats, Floats, Floats]:
-    """Ridge by the cross-sections, the course drawn to it twice: feet (M, 3), normals (M, 3), heights (M,)."""
+def _follow_sections(cluster: Cluster, centreline: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+    """Ridge by the cross-sections, the centreline drawn to it twice: feet (M, 3), normals (M, 3), heights (M,)."""
     for _ in range(2):
-        course = Curve(_smoothed(_ridge(cluster, course, width)[0], course.closed), course.closed)
-    return _ridge(cluster, course, width)
+        centreline = Curve(_smoothed(_ridge(cluster, centreline, width)[0], centreline.closed), centreline.closed)
+    return _ridge(cluster, centreline, width)
 
 
-def _follow_crest(cluster: Cluster, course: Curve, width: float) -> tuple[Floats, Floats, Floats]:
-    """Crest over stations along the course: the mean of the highest points about each; as ``_follow_sections``."""
+def _follow_crest(cluster: Cluster, centreline: Curve, width: float) -> tuple[Floats, Floats, Floats]:
+    """Crest over stations along the centreline: the mean of the highest points about each; as ``_follow_sections``."""
     reach = max(width, 2 * cluster.spacing_mm)
-    s = course.arc_of(cluster.points)
-    count = max(int(np.ceil(course.length_mm / reach)), 2)
+    s = centreline.arc_of(cluster.points)
+    count = max(int(np.ceil(centreline.length_mm / reach)), 2)
     crests, normals, heights = [], [], []
-    for arc in np.linspace(0.0, course.length_mm, count + (not course.closed), endpoint=not course.closed):
+    for arc in np.linspace(0.0, centreline.length_mm, count + (not centreline.closed), endpoint=not centreline.closed):
         away = np.abs(s - arc)
-        near = np.flatnonzero((np.minimum(away, course.length_mm - away) if course.closed else away) < reach)
+        near = np.flatnonzero((np.minimum(away, centreline.length_mm - away) if centreline.closed else away) < reach)
         if len(near) < 4:
             continue
         high = near[cluster.signed_mm[near] >= np.quantile(cluster.signed_mm[near], CREST_QUANTILE)]
@@ -184,7 +184,7 @@ def _follow_crest(cluster: Cluster, course: Curve, width: float) -> tuple[Floats
     if len(crests) < 3 or np.linalg.norm(crests[-1] - crests[0]) < MIN_CREST_CELLS * cluster.spacing_mm:
         raise TooSmallError("the bead is too small or too thinly sampled to follow its ridge; scan it denser")
     tops, up, above = np.array(crests), np.array(normals), np.array(heights)
-    return _smoothed(tops, course.closed) - above[:, None] * up, up, above
+    return _smoothed(tops, centreline.closed) - above[:, None] * up, up, above
 
 
 def _ridge(cluster: Cluster, stations: Curve, width: float) -> tuple[Floats, Floats, Floats]:
@@ -263,7 +263,7 @@ def _pooled_shapes(sections: Sections, arcs: Floats, stations: Curve, reach: flo
     for some, terms in ((shown, len(POWERS)), (~shown, 2)):
         inverses = np.linalg.pinv(equations[some, :terms, :terms], rcond=1e-9)
         shapes[some, :terms] = (inverses @ rights[some, :terms, None])[:, :, 0]
-    shapes[~shown & (shapes[:, 1] >= 0)] = 0.0  # no ridge shows; the course stays where it is
+    shapes[~shown & (shapes[:, 1] >= 0)] = 0.0  # no ridge shows; the centreline stays where it is
     return shapes
 
 

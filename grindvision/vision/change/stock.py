@@ -300,27 +300,27 @@ def _measured(
     prior = _prior(registration, empty, difference)
     reach = int(np.ceil(ALIKE_CELLS * difference.cell_mm / empty.spacing_mm))
     datum = fit_datum(raw, unchanged & empty.shown, prior, max(float(scatter), 1e-6), reach)
-    inside_shown = inside & empty.shown
-    hidden = inside_shown & ~np.isfinite(raw)
+    inside_visible = inside & empty.shown
+    hidden = inside_visible & ~np.isfinite(raw)
     heights = raw - datum.heights_mm
     if hidden.any():
-        heights = np.where(hidden, bridged_heights(heights, inside_shown), heights)
-    usual = float(np.median(measured.weights[inside_shown & ~hidden])) if (inside_shown & ~hidden).any() else 1.0
+        heights = np.where(hidden, bridged_heights(heights, inside_visible), heights)
+    usual = float(np.median(measured.weights[inside_visible & ~hidden])) if (inside_visible & ~hidden).any() else 1.0
     noise = datum.noise.sigma_mm * np.sqrt(usual / np.maximum(measured.weights, 1e-9))
     noise = np.where(hidden, FLAT * np.abs(np.nan_to_num(heights)) + datum.noise.sigma_mm, noise)
-    sigma = np.where(inside_shown | np.isfinite(raw), np.sqrt(noise**2 + datum.variances_mm2), np.nan)
+    sigma = np.where(inside_visible | np.isfinite(raw), np.sqrt(noise**2 + datum.variances_mm2), np.nan)
     facing = np.where(empty.shown, empty.normals[..., 2], 1.0)
     filled = replace(
         empty,
         ground_mm=empty.ground_mm + datum.heights_mm / facing,
         heights_mm=np.where(empty.shown, heights, np.nan),
     )
-    sampling = sampling_variance(measured, filled, inside_shown, usual_square)
+    sampling = sampling_variance(measured, filled, inside_visible, usual_square)
     return StockPiece(
-        filled, sigma, inside_shown, hidden, unchanged & empty.shown, datum, level_mm,
-        **piece_sums(filled, inside_shown, hidden, datum, level_mm, sigma, sampling),
+        filled, sigma, inside_visible, hidden, unchanged & empty.shown, datum, level_mm,
+        **piece_sums(filled, inside_visible, hidden, datum, level_mm, sigma, sampling),
         hidden_mm2=float(filled.areas_mm2[hidden].sum()),
-        unshown_mm2=float((~unchanged & ~inside_shown & ~np.isfinite(raw)).sum() * empty.spacing_mm**2),
+        unshown_mm2=float((~unchanged & ~inside_visible & ~np.isfinite(raw)).sum() * empty.spacing_mm**2),
     )  # fmt: skip
 
 

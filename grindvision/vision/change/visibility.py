@@ -20,7 +20,7 @@ Flags = NDArray[np.bool_]
 MAX_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
 
-MIN_SHOWN = 8
+MIN_VISIBLE = 8
 """Of the nine pixels about a doubtful point, so many must show surface behind it: at a rim it may be surface unseen."""
 
 
@@ -52,7 +52,7 @@ def in_front(surface: Surfels, viewpoint: Floats | None, points: Floats, size: f
             depth = nearest_depth[spot[:, 0] + i, spot[:, 1] + j]
             np.minimum(window, depth, out=window)
             shown += np.isfinite(depth)
-    return inside & (shown >= MIN_SHOWN) & (asked_depths < window)
+    return inside & (shown >= MIN_VISIBLE) & (asked_depths < window)
 
 
 def surrounded(surface: Surfels, feet: Floats, normals: Floats) -> Flags:

@@ -20,7 +20,7 @@ STRAY = 6.0
 PLENTY = 20_000
 
 #: Plates may differ from what is said of them by this much, mm and fraction: more is a mistake, not a scanner's error.
-DOUBT_MM, DOUBT_FRACTION, DOUBT_TILT_DEG = 2.0, 0.05, 1.0
+WARN_MM, WARN_FRACTION, WARN_TILT_DEG = 2.0, 0.05, 1.0
 
 #: What scanners do not show by themselves: plates tilted against each other (deg), a scale of depth, an offset (mm).
 NAMED_TILT_DEG, NAMED_SCALE, NAMED_OFFSET_MM = 0.25, 0.015, 2.0
@@ -93,8 +93,8 @@ def diagnose_plates(
     sigma = MEAN_MM + MEAN_FRACTION * waves
     tilt_limit = max(NAMED_TILT_DEG, float(np.degrees(SURE * np.sqrt(2) * sigma / (0.4 * half_mm))))
     told = _diagnose_tilts(normals, half_mm, tilt_limit)
-    offset, scale, scale_sigma, step_doubts = _line_of_steps(steps, stands, sigma)
-    told += step_doubts
+    offset, scale, scale_sigma, step_findings = _line_of_steps(steps, stands, sigma)
+    told += step_findings
     scale_limit = max(NAMED_SCALE, SURE * scale_sigma)
     if abs(scale - 1) > scale_limit:
         told.append(
@@ -163,7 +163,7 @@ def _line_of_steps(steps: Floats, stands: Floats, sigma_mm: float) -> tuple[floa
                 gain = abs(shift) * float(np.sqrt(free @ free)) / sigma_mm
                 if gain > best[0] * (1 + 1e-9):
                     best = (gain, shift, number if kind == "plate" else number + 1, kind)
-    doubts = []
+    findings = []
     gain, shift, number, kind = best
     columns = line
     if gain > SURE:
@@ -177,18 +177,18 @@ def _line_of_steps(steps: Floats, stands: Floats, sigma_mm: float) -> tuple[floa
                 f"from plate {order[number] + 1} (step {at[number]:g} mm) on, the plates stand {abs(shift):.2g} mm"
                 f" {side} than their steps,"
             )
-        doubts.append(f"{what} by the points and the other steps: mistyped, or the stage slipped; measure it again")
+        findings.append(f"{what} by the points and the other steps: mistyped, or the stage slipped; measure it again")
     elif count == 3:
         free = np.linalg.svd(line.T)[2][-1]
         bend = abs(float(free @ place))
         if bend > SURE * sigma_mm:
-            doubts.append(
+            findings.append(
                 f"three plates stand {bend / np.abs(free).max():.2g} mm out of line with their steps: one step is"
                 " wrong, or the scanner's depth bends so much; scan more plates to tell"
             )
     values = np.linalg.lstsq(columns, place, rcond=None)[0]
     covariance = np.linalg.inv(columns.T @ columns) * sigma_mm**2
-    return float(values[0]), float(values[1]), float(np.sqrt(covariance[1, 1])), doubts
+    return float(values[0]), float(values[1]), float(np.sqrt(covariance[1, 1])), findings
 
 
 def checked_distance(distance_mm: float | None, offset_mm: float) -> float:
@@ -198,7 +198,7 @@ def checked_distance(distance_mm: float | None, offset_mm: float) -> float:
         InputError: the two are too far apart for a scanner's error.
     """
     first = offset_mm if distance_mm is None else float(distance_mm)
-    if not abs(first - offset_mm) <= DOUBT_MM + DOUBT_FRACTION * offset_mm:
+    if not abs(first - offset_mm) <= WARN_MM + WARN_FRACTION * offset_mm:
         raise InputError(
             f"distance_mm is {first:g}, but the first plate's points lie {offset_mm:.1f} mm away; check both"
         )
@@ -233,12 +233,12 @@ def parallel_planes(
     offset = float(plane.offset_mm * np.sign(plane.normal[2]))
     for k, cloud, mask, step, own in zip(order, means, seen, steps, normals, strict=True):
         stands = float((cloud[mask] @ normal).mean())
-        if abs(stands - offset - step) > DOUBT_MM + DOUBT_FRACTION * np.abs(steps).max():
+        if abs(stands - offset - step) > WARN_MM + WARN_FRACTION * np.abs(steps).max():
             raise InputError(
                 f"plate {k + 1} lies {stands:.1f} mm away by its points, {offset + step:.1f} mm by its step {step:g};"
                 " check the order, sign and unit of the steps"
             )
         tilt = np.degrees(vector_angle(own, normal))
-        if tilt > DOUBT_TILT_DEG:
+        if tilt > WARN_TILT_DEG:
             raise InputError(f"plate {k + 1} is tilted by {tilt:.1f} deg against the others; only shift it")
     return normal, offset

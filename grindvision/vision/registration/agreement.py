@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Agreement:
-    """What a pose says about the source's surfels, as shares of all: ``agreeing``, ``contradicting``; the rest lies
+    """What a pose says about the source's surfels, as fractions of all: ``agreeing``, ``contradicting``; the rest lies
     where the target shows nothing."""
 
     agreeing: float
@@ -24,21 +24,21 @@ class Agreement:
 
     @property
     def overlap(self) -> float:
-        """Share of the source over the target's surface."""
+        """Fraction of the source over the target's surface."""
         return self.agreeing + self.contradicting
 
     @property
-    def share(self) -> float:
-        """Agreeing share of the overlap."""
+    def fraction_of_overlap(self) -> float:
+        """Fraction of the overlap that agrees."""
         return self.agreeing / self.overlap if self.overlap > 0 else 0.0
 
     @property
     def score(self) -> float:
-        """Agreeing less contradicting share; the best pose has the largest."""
+        """Agreeing less contradicting fraction; the best pose has the largest."""
         return self.agreeing - self.contradicting
 
     def __str__(self) -> str:
-        return f"overlap {self.overlap:.0%}, of it {self.share:.0%} in agreement"
+        return f"overlap {self.overlap:.0%}, of it {self.fraction_of_overlap:.0%} in agreement"
 
 
 def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float) -> Agreement:
@@ -49,7 +49,7 @@ def agreement(points: Floats, normals: Floats, target: Surfels, T_target_source:
     return Agreement(float(good.mean()), float((~np.isnan(residuals) & ~good).mean()))
 
 
-def agreeing_share(
+def agreeing_fraction(
     points: Floats, normals: Floats, target: Surfels, T_target_source: Floats, within_mm: float
 ) -> float:
     """The ``agreeing`` of ``agreement`` alone, sooner: nothing is sought farther away than what agrees can be."""

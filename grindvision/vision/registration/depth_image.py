@@ -16,7 +16,7 @@ Integers = NDArray[np.int64]
 PIXEL_CELLS = 1.0
 """Edge of a depth image's pixel in surfels: nearly every pixel on the surface then holds a point."""
 
-MIN_SHOWN = 8
+MIN_VISIBLE = 8
 """Of the nine pixels about a place, so many must be filled for a scanner to have looked past it."""
 
 MAX_SLOPE = 1.0
@@ -34,7 +34,7 @@ HIDDEN_PIXELS = 8.0
 class DepthImage(NamedTuple):
     """A scan as its scanner saw it. ``known``: whether the scanner's place is; ``viewpoint`` (3,), ``axes`` (3, 3) rows
     right, up, ahead; ``pixel`` tangent per pixel, ``low`` (2,) first pixel; ``front`` (H, W): least depth of the nine
-    pixels about each, minus infinity where fewer than ``MIN_SHOWN`` are filled; ``bridge`` (H, W): over a hole in a
+    pixels about each, minus infinity where fewer than ``MIN_VISIBLE`` are filled; ``bridge`` (H, W): over a hole in a
     surface the depth that the surface would have there, else minus infinity; ``empty`` (H, W)."""
 
     known: bool
@@ -133,7 +133,7 @@ def _fronts(depth: Floats) -> Floats:
                     if np.isfinite(depth[a, b]):
                         shown += 1
                         least = min(least, depth[a, b])
-            if shown >= MIN_SHOWN:
+            if shown >= MIN_VISIBLE:
                 front[i, j] = least
     return front
 

@@ -44,13 +44,13 @@ MIN_GAIN, NEARLY = 0.04, 0.02
 MIN_OFFSET = 5.0
 """Least offset of a face that is named, in standard deviations of a face's own spread."""
 
-FIRST_SPREAD = 0.5
+FIRST_SIGMA_CELLS = 0.5
 """Standard deviation in cells of what counts fully at first."""
 
 ABSORBED = 0.05
 """A face holds a motion alone where no more than this part of an offset of it shows in other residuals."""
 
-SOLE_SHARE, SOLE_FACES = 0.05, 3
+MIN_SOLE_FRACTION, SOLE_FACES = 0.05, 3
 """Of a part of so many faces, each of at least this share, those that hold a motion alone are told."""
 
 
@@ -89,7 +89,7 @@ class FaceReading:
     settled: Flags | None
     sole: tuple[FaceOffset, ...]
 
-    def doubts(self, nothing_found: bool) -> tuple[str, ...]:
+    def diagnose(self, nothing_found: bool) -> tuple[str, ...]:
         """In words, what a person should know; what could be off unseen only where nothing else was found."""
         said = []
         if self.off and self.unique:
@@ -147,8 +147,8 @@ def read_faces(source: Scan, target: Scan, registration: FineRegistration, seed:
     large = np.flatnonzero(counts >= max(MIN_SAMPLES, LARGE * len(face)))[:MAX_FACES]
     if len(large) < 2:
         return FaceReading(registration, (), True, None, ())
-    spread = _own_spread(places, up, residuals, face, large)
-    share = _share(residuals, face, large, spread)
+    spread = _sigma_within_faces(places, up, residuals, face, large)
+    share = _agreeing_fraction(residuals, face, large, spread)
     medians = np.array([np.median(residuals[face == one]) for one in large])
     spans = np.array([np.quantile(np.abs(residuals[face == one]), 0.75) for one in large])
     sole = _sole(samples, places, up, face, large, registration)
@@ -175,13 +175,13 @@ def _is_off(offset: FaceOffset, spread: float) -> bool:
     return abs(offset.offset_mm) > max(MIN_OFFSET * spread, 5 * offset.sigma_mm)
 
 
-def _share(residuals: Floats, face: Integers, large: Integers, spread: float) -> float:
+def _agreeing_fraction(residuals: Floats, face: Integers, large: Integers, spread: float) -> float:
     """Share of the samples on large faces that agree."""
     on = np.isin(face, large)
     return float((np.abs(residuals[on]) < AGREES * spread).mean())
 
 
-def _own_spread(places: Floats, up: Floats, residuals: Floats, face: Integers, large: Integers) -> float:
+def _sigma_within_faces(places: Floats, up: Floats, residuals: Floats, face: Integers, large: Integers) -> float:
     """Standard deviation in mm of residuals about each face's own best motion: what offsets do not change."""
     left = []
     for one in large:
@@ -218,7 +218,7 @@ def _fitted(
         solution = np.array([0.0] * 6 + [offset])
         for _ in range(5):
             rest = residuals + design @ solution
-            weights = _weights(rest, max(spread, FIRST_SPREAD * 0.4**step * size))
+            weights = _weights(rest, max(spread, FIRST_SIGMA_CELLS * 0.4**step * size))
             information = design.T @ (design * weights[:, None])
             solution = -np.linalg.pinv(information, rcond=1e-12, hermitian=True) @ (design.T @ (weights * residuals))
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
@@ -226,7 +226,7 @@ def _fitted(
     covariance = block_covariance(places, design, rest, weights, information)
     places, up, residuals, face = samples.at(transform)
     mine = face == one
-    agreed = _share(residuals - offset * mine, face, large, spread)
+    agreed = _agreeing_fraction(residuals - offset * mine, face, large, spread)
     back = inverse(transform)
     area = samples.area(one)
     found = FaceOffset(
@@ -260,7 +260,7 @@ def _sole(
     inverse_information = np.linalg.pinv(design.T @ design, rcond=1e-10, hermitian=True)
     back = inverse(registration.T_target_source)
     found: list[FaceOffset] = []
-    sizable = [one for one in large if (face == one).sum() > SOLE_SHARE * len(face)]
+    sizable = [one for one in large if (face == one).sum() > MIN_SOLE_FRACTION * len(face)]
     for one in sizable if len(sizable) >= SOLE_FACES else ():
         on = face[used] == one
         along = design[on].sum(axis=0)

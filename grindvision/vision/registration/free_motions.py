@@ -11,7 +11,7 @@ from grindvision.vision.registration.icp import FineRegistration
 Floats = NDArray[np.float64]
 
 
-def least_known_motion(found: FineRegistration, points: Floats) -> tuple[float, Floats]:
+def weakest_motion(found: FineRegistration, points: Floats) -> tuple[float, Floats]:
     """How far in mm, by one standard deviation of the pose, any of a source's points (N, 3) may lie off, and the pose
     (4, 4) moved by that deviation. Infinite, and the pose itself, where the covariance is not known."""
     covariance = found.total_covariance

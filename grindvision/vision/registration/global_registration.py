@@ -48,14 +48,16 @@ def propose_poses(
     # the short round draws from a stream of its own: where it decides nothing, all goes on as if it had not been
     for (queries, batch, batches, enough), draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
         chosen = _distinctive(source.features, queries, draws)
-        poses, shares, clear = _sampled(source, target, chosen, draws, batch, batches, enough, similar, centre, extent)
+        poses, fractions, clear = _sampled(
+            source, target, chosen, draws, batch, batches, enough, similar, centre, extent
+        )
         if clear:
             break
     if len(poses) == 0:
         raise DegenerateError(
             "no two points of one scan fit any two of the other: a flat or round part without features, or two parts?"
         )
-    return distinct_poses(poses, shares, centre, 0.03 * extent, np.radians(8), kept)
+    return distinct_poses(poses, fractions, centre, 0.03 * extent, np.radians(8), kept)
 
 
 def distinct_poses(
@@ -78,7 +80,7 @@ def _sampled(
     matches = (source.points[s], source.normals[s], target.points[t], target.normals[t])
     part = tuple(column[: len(chosen) // 4 * similar] for column in matches)
     spacing = max(source.spacing_mm, target.spacing_mm)
-    poses, shares = np.empty((0, 4, 4)), np.empty(0)
+    poses, fractions = np.empty((0, 4, 4)), np.empty(0)
     for _ in range(batches):
         first, second = _agreeing_pairs(
             *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
@@ -86,13 +88,13 @@ def _sampled(
         found = _poses_of_pairs(*matches, first[:2000], second[:2000])
         found = found[np.argsort(-_all_votes(found, part, 3 * spacing, similar), kind="stable")[:150]]
         poses = np.concatenate([poses, found])
-        shares = np.concatenate([shares, _all_votes(found, matches, 3 * spacing, similar) / len(chosen)])
-        order = np.argsort(-shares, kind="stable")
-        poses, shares = poses[order], shares[order]
-        _, best = distinct_poses(poses, shares, centre, 0.15 * extent, np.radians(20), 2)
+        fractions = np.concatenate([fractions, _all_votes(found, matches, 3 * spacing, similar) / len(chosen)])
+        order = np.argsort(-fractions, kind="stable")
+        poses, fractions = poses[order], fractions[order]
+        _, best = distinct_poses(poses, fractions, centre, 0.15 * extent, np.radians(20), 2)
         if len(best) and best[0] > max(enough, 1.5 * best[1:].sum()):
-            return poses, shares, True
-    return poses, shares, False
+            return poses, fractions, True
+    return poses, fractions, False
 
 
 def _distinctive(features: Floats, count: int, rng: np.random.Generator) -> NDArray[np.int64]:

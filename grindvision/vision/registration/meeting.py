@@ -19,7 +19,7 @@ from grindvision.vision.surface.scan import choose_resolution, prepare_scan
 Floats = NDArray[np.float64]
 
 #: Two views overlap where so much of one (fraction, cells) lies over the other's surface.
-LEAST_OVERLAP, LEAST_CELLS = 0.1, 50
+MIN_OVERLAP, MIN_CELLS = 0.1, 50
 
 #: Surfaces farther apart than this part of a view's extent do not meet.
 FARTHEST = 0.15
@@ -89,7 +89,7 @@ def merge(clouds: Sequence[ArrayLike], T_common_view: ArrayLike) -> Meeting:
         >>> joined.points.shape, bool(joined.overall_mm < 1e-6)
         ((9600, 3), True)
     """
-    views = [check_points(cloud, f"view {row + 1}", LEAST_CELLS) for row, cloud in enumerate(clouds)]
+    views = [check_points(cloud, f"view {row + 1}", MIN_CELLS) for row, cloud in enumerate(clouds)]
     poses = np.asarray(T_common_view, dtype=float)
     if poses.shape != (len(views), 4, 4):
         raise InputError(f"{len(views)} views and poses of shape {poses.shape}; expected ({len(views)}, 4, 4)")
@@ -102,7 +102,7 @@ def merge(clouds: Sequence[ArrayLike], T_common_view: ArrayLike) -> Meeting:
         motion = inverse(poses[target]) @ poses[source]
         extent = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
         distances, facing = plane_residuals(points, normals, scans[target], motion, FARTHEST * extent)
-        if facing.sum() >= max(LEAST_CELLS, LEAST_OVERLAP * len(points)):
+        if facing.sum() >= max(MIN_CELLS, MIN_OVERLAP * len(points)):
             size = np.abs(distances[facing])
             medians[source, target] = np.median(size)
             found.append(size)

@@ -43,7 +43,7 @@ MUCH_LARGER = 2.0
 """A scan with its surroundings may well be so many times larger than the model."""
 
 
-MUCH_TURNED = 1e-4
+MAX_FLIPPED_FRACTION = 1e-4
 """Fraction of a model's area that was wound inside out from which on a person should know; slivers are not told."""
 
 
@@ -132,7 +132,7 @@ def other_unit(scan_mm: float, model_mm: float, names: PairNames) -> str:
     return f"are the numbers of the {name} in {sizes}? Then say {option} {fitting[0]}"
 
 
-def doubts_of_model(facets: Facets) -> tuple[str, ...]:
+def diagnose_model(facets: Facets) -> tuple[str, ...]:
     """In words, what of a model's mesh a person should know of before trusting the comparison."""
     said = []
     if facets.turned == len(facets):
@@ -140,7 +140,7 @@ def doubts_of_model(facets: Facets) -> tuple[str, ...]:
             f"all {len(facets):,} facets of the model were wound inside out and were turned; if it was exported"
             " left-handed, its shape is a mirror image: then say --mirrored with the axis that counts the wrong way"
         )
-    elif facets.turned_mm2 > MUCH_TURNED * facets.area_mm2:
+    elif facets.flipped_mm2 > MAX_FLIPPED_FRACTION * facets.area_mm2:
         said.append(
             f"{facets.turned:,} of the model's {len(facets):,} facets were wound inside out, against their neighbours"
             " or into the part, and were turned; mend the export if these are not slips of the mesh"

@@ -12,7 +12,7 @@ from grindvision.errors import DegenerateError
 from grindvision.geometry import angle_between, move_points
 from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import parallel_map
-from grindvision.vision.registration.agreement import Agreement, agreeing_share
+from grindvision.vision.registration.agreement import Agreement, agreeing_fraction
 from grindvision.vision.registration.depth_image import depth_image
 from grindvision.vision.registration.evidence import AGREES, Evidence, judge, side
 from grindvision.vision.registration.icp import FineRegistration
@@ -90,9 +90,11 @@ class PoseJudge:
         ]
         return max(parts, key=lambda part: part.overlap)
 
-    def doubtful(self, best: Candidate) -> bool:
+    def is_uncertain(self, best: Candidate) -> bool:
         """Whether so much contradicts a pose that better ones are worth a longer search."""
-        return self.evidence(best.pose).hard > MAX_HARD or self.agreement(best.pose).share < SURE_AGREEMENT
+        return (
+            self.evidence(best.pose).hard > MAX_HARD or self.agreement(best.pose).fraction_of_overlap < SURE_AGREEMENT
+        )
 
     def refined(self, pose: Floats, free: bool = False, far: bool = False) -> Candidate | None:
         """Coarse-to-fine ICP of a few surfels from ``pose``, which may be ``far`` off; None when the scans do not meet
@@ -148,10 +150,10 @@ class PoseJudge:
         translation = np.linalg.norm(move_points(pose, self.centre) - move_points(other, self.centre))
         return bool(translation > times * 0.02 * self.extent or angle_between(pose, other) > times * np.radians(2))
 
-    def rough_shares(self, poses: Floats) -> Floats:
+    def rough_fractions(self, poses: Floats) -> Floats:
         """Share (K,) of some surfels that agree roughly at each of ``poses`` (K, 4, 4)."""
         some, normals, within = self.points[:REFINED], self.normals[:REFINED], 6 * self.within_mm
-        return np.array([agreeing_share(some, normals, self.coarse, pose, within) for pose in poses])
+        return np.array([agreeing_fraction(some, normals, self.coarse, pose, within) for pose in poses])
 
     def residuals(self, pose: Floats) -> Floats:
         """Distances (N,) of the source's samples along the target's normals, NaN where the surfaces do not meet."""

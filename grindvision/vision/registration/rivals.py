@@ -24,10 +24,10 @@ WEAK = 0.04
 NEARLY = 0.02
 """A rival whose cost per surfel is larger by no more than so much shows a near symmetry, whose axis is searched."""
 
-MAX_FOLDS, SAME_TURN = 72, np.radians(0.6)
+MAX_FOLDS, SAME_ROTATION_RAD = 72, np.radians(0.6)
 """Most teeth or holes that are looked for, and the angle within which the poses of rivals show them."""
 
-DOUBTED = 0.0005
+CONTRADICTED = 0.0005
 """Fraction of surfels in front of what the other scanner saw above which turns about the principal axes are tried."""
 
 SLIDING = 0.002
@@ -38,7 +38,7 @@ OVERLAPS = 0.6
 """A pose of which a smaller part agrees than this share of what agrees at the best one is no rival: beside each other,
 scans never contradict."""
 
-SLIDES = 36
+MOTION_STEPS = 36
 """Poses judged to either side along such a motion: over half a turn, or twice the extent."""
 
 BOX_ROTATIONS = tuple(
@@ -71,9 +71,9 @@ def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -
     return judge.distinct([*known, *judge.settled(worth, 6), *_slid(judge, best)])
 
 
-def doubted(judge: PoseJudge, best: Candidate) -> bool:
+def is_contradicted(judge: PoseJudge, best: Candidate) -> bool:
     """Whether more of the surfels stand in front of what the other scanner saw than at a true pose without a change."""
-    return judge.evidence(best.pose).hard > DOUBTED
+    return judge.evidence(best.pose).hard > CONTRADICTED
 
 
 def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
@@ -90,9 +90,11 @@ def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> 
     axes = judge.axes()
     to_centre, back = rigid(None, -judge.centre), rigid(None, judge.centre)
     poses = np.stack([best.pose @ back @ rigid(axes @ rotation @ axes.T) @ to_centre for rotation in rotations])
-    rough = judge.rough_shares(poses)
+    rough = judge.rough_fractions(poses)
     order = np.argsort(-rough, kind="stable")
-    order = order[rough[order] > (0.25 if judge.doubtful(best) else 0.5) * judge.rough_shares(best.pose[None])[0]]
+    order = order[
+        rough[order] > (0.25 if judge.is_uncertain(best) else 0.5) * judge.rough_fractions(best.pose[None])[0]
+    ]
     return distinct_poses(poses[order], rough[order], judge.centre, np.inf, np.radians(20), 4)[0]
 
 
@@ -111,13 +113,13 @@ def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps:
     the source's principal axes, too, where something contradicts the best pose."""
     between = [axis for one in near[:2] if (axis := _axis_between(best, one)) is not None]
     axes = [*_weak_axes(judge, best), *between]
-    if doubted(judge, best):
+    if is_contradicted(judge, best):
         axes += [(axis, best.found.centre_mm) for axis in (best.pose[:3, :3] @ judge.axes()).T]
     poses = [_about(axis, 2 * np.pi * k / steps, best) for axis in axes for k in range(1, steps)]
     if not poses:
         return np.empty((0, 4, 4))
     stacked = np.stack(poses)
-    stacked = stacked[judge.rough_shares(stacked) > 0.4 * judge.rough_shares(best.pose[None])[0]]
+    stacked = stacked[judge.rough_fractions(stacked) > 0.4 * judge.rough_fractions(best.pose[None])[0]]
     # by what contradicts, not by what overlaps: where the views coincide all turns of a ring do
     costs = np.array(parallel_map(lambda pose: judge.evidence(pose, 400).cost(), stacked))
     order = np.argsort(costs, kind="stable")
@@ -144,7 +146,7 @@ def _folds(angles_rad: Sequence[float]) -> int:
     none, or less than two angles."""
     turns = np.array(angles_rad) / (2 * np.pi)
     for folds in range(2, MAX_FOLDS + 1) if len(turns) > 1 else ():
-        if (np.abs(turns * folds - np.round(turns * folds)) < folds * SAME_TURN / (2 * np.pi)).all():
+        if (np.abs(turns * folds - np.round(turns * folds)) < folds * SAME_ROTATION_RAD / (2 * np.pi)).all():
             return folds
     return 1
 
@@ -152,11 +154,11 @@ def _folds(angles_rad: Sequence[float]) -> int:
 def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
     """The likeliest poses all along the motions that next to nothing resists, judged without ICP, which would slide."""
     to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
-    steps = np.concatenate([np.arange(-SLIDES, 0), np.arange(1, SLIDES + 1)])
+    steps = np.concatenate([np.arange(-MOTION_STEPS, 0), np.arange(1, MOTION_STEPS + 1)])
     poses = []
     for twist in weak_motions(judge, best, SLIDING).T:
         turn = float(np.linalg.norm(twist[3:]))
-        step = np.pi / SLIDES / turn if turn * judge.extent > 0.5 else 2 * judge.extent / SLIDES
+        step = np.pi / MOTION_STEPS / turn if turn * judge.extent > 0.5 else 2 * judge.extent / MOTION_STEPS
         poses += [back @ small_motion(at * step * twist) @ to_centre @ best.pose for at in steps]
     least = OVERLAPS * judge.evidence(best.pose).met
     poses = [pose for pose, seen in zip(poses, parallel_map(judge.evidence, poses), strict=True) if seen.met > least]

@@ -16,7 +16,7 @@ from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
-from grindvision.vision.registration.free_motions import least_known_motion, motion_name
+from grindvision.vision.registration.free_motions import motion_name, weakest_motion
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
@@ -176,7 +176,7 @@ def register_pair(
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
         clock.lap("verification")
         fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
-        _say_doubts(prepared_source, coarse, fine)
+        _warn_of_findings(prepared_source, coarse, fine)
     except DegenerateError as refusal:
         coarse_source, coarse_target = (
             build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
@@ -202,7 +202,7 @@ def register_pair(
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
 
 
-def _say_doubts(source: Scan, coarse: VerifiedPose, fine: FineRegistration) -> None:
+def _warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration) -> None:
     """Say what the pose may be instead: a rival's, or one along a motion that the surface hardly resists.
 
     Raises:
@@ -213,27 +213,27 @@ def _say_doubts(source: Scan, coarse: VerifiedPose, fine: FineRegistration) -> N
     """
     points = source.surfels.points[:: max(1, len(source.surfels) // 500)]
     extent = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    sigma, deviated = least_known_motion(fine, points)
+    sigma, deviated = weakest_motion(fine, points)
     motion = motion_name(deviated, fine.T_target_source, points.mean(axis=0), extent) if np.isfinite(sigma) else ""
     if sigma > OPEN * extent:
         raise AmbiguousError(
             f"the registration is ambiguous: {motion or 'some motion'} fits as well, as the scanners' own small errors"
             " say; scan more of the part, or a side that fixes it there"
         )
-    doubts = []
+    findings = []
     if sigma > HARDLY_KNOWN * extent:
-        doubts.append(
+        findings.append(
             f"the pose is known to {sigma:.2g} mm only (one standard deviation), along {motion}: the part shows little"
             " that fixes it there, and path points may be off by as much; scan more of the part"
         )
     if coarse.confidence < SURE:
         rival = f"{coarse.rival_motion} fits nearly as well" if coarse.rival_motion else "much contradicts it"
-        doubts.append(
+        findings.append(
             f"the pose is right with a confidence of {coarse.confidence:.2f} only: {rival}; look at the picture before"
             " the part is ground, or scan what tells the two apart"
         )
-    for doubt in doubts:
-        warnings.warn(doubt, GrindvisionWarning, stacklevel=3)
+    for finding in findings:
+        warnings.warn(finding, GrindvisionWarning, stacklevel=3)
 
 
 def without_strays(points: Floats, name: str) -> Floats:

@@ -21,7 +21,7 @@ from grindvision.vision.registration.free_motions import motion_name, motion_nam
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
-from grindvision.vision.registration.rivals import OVERLAPS, doubted, weak_motions, with_rivals
+from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
 from grindvision.vision.surface.scan import Scan
 
 Floats = NDArray[np.float64]
@@ -91,7 +91,7 @@ def choose_pose(
     """
     judge = PoseJudge(source, target, rng, sample)
     candidates = judge.settled(judge.refined_all(poses[:tried]))
-    if not candidates or judge.doubtful(candidates[0]):
+    if not candidates or judge.is_uncertain(candidates[0]):
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(poses[tried:]))])
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
@@ -99,7 +99,7 @@ def choose_pose(
         best = candidates[0]
         candidates = with_rivals(judge, best, candidates)
         # rivals that were found tell the axes of symmetry, about which the right pose may lie
-        if not judge.differ(best.pose, candidates[0].pose) and (attempt or not doubted(judge, best)):
+        if not judge.differ(best.pose, candidates[0].pose) and (attempt or not is_contradicted(judge, best)):
             break
     best, *candidates = judge.ranked(candidates)
     _check_fit(judge, best)
@@ -114,11 +114,11 @@ def _check_fit(judge: PoseJudge, best: Candidate) -> None:
     """
     found = judge.agreement(best.pose)
     least = min(max(MIN_AGREEMENT, 0.5 + MIN_SCORE / (2 * max(found.overlap, 1e-9))), 1.0)
-    if found.overlap < MIN_OVERLAP or found.share < least:
+    if found.overlap < MIN_OVERLAP or found.fraction_of_overlap < least:
         raise DegenerateError(
-            f"the two scans do not fit: at the best pose {found.overlap:.0%} overlap and {found.share:.0%} of that"
-            f" agrees within {judge.within_mm:.2g} mm (at least {MIN_OVERLAP:.0%} and {least:.0%} needed);"
-            " are they scans of the same part, from nearby views?"
+            f"the two scans do not fit: at the best pose {found.overlap:.0%} overlap and"
+            f" {found.fraction_of_overlap:.0%} of that agrees within {judge.within_mm:.2g} mm"
+            f" (at least {MIN_OVERLAP:.0%} and {least:.0%} needed); are they scans of the same part, from nearby views?"
         )
 
 
@@ -136,15 +136,18 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
         best, rivals = rivals[better], [best, *rivals[:better], *rivals[better + 1 :]]
         ratios = _log_ratios(judge, best, rivals)
     found = judge.agreement(best.pose)
-    fits = np.clip((found.share - 0.5) / (SURE_AGREEMENT - 0.5), 0, 1)
+    fits = np.clip((found.fraction_of_overlap - 0.5) / (SURE_AGREEMENT - 0.5), 0, 1)
     fits *= min(1.0, USUAL_HARD / max(judge.evidence(best.pose, None).hard, 1e-9))
     posterior = 1 / (1 + np.exp(np.clip(CHANCE - np.array(ratios), -50, 50)).sum()) if ratios else 1.0
     confidence = float(posterior * fits)
     unresisted = weak_motions(judge, best, UNRESISTED)
-    if fits < MIN_CONFIDENCE or ((unresisted.size > 0 or confidence < MIN_CONFIDENCE) and found.share < TRUE_AGREEMENT):
+    if fits < MIN_CONFIDENCE or (
+        (unresisted.size > 0 or confidence < MIN_CONFIDENCE) and found.fraction_of_overlap < TRUE_AGREEMENT
+    ):
         raise DegenerateError(
-            f"the two scans do not fit: of what both scanners could see, {found.overlap:.0%}, {found.share:.0%}"
-            " agrees: this may be chance; are they scans of the same part, from nearby views?"
+            f"the two scans do not fit: of what both scanners could see, {found.overlap:.0%},"
+            f" {found.fraction_of_overlap:.0%} agrees: this may be chance;"
+            " are they scans of the same part, from nearby views?"
         )
     if unresisted.size:
         raise AmbiguousError(_free_motion(judge, best, unresisted))

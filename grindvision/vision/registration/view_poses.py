@@ -34,8 +34,8 @@ def _pose(ties: dict[Pair, Tie], target: int, source: int) -> Floats:
     return inverse(ties[source, target].T_target_source)
 
 
-def open_loops(ties: dict[Pair, Tie], most_mm: float, extent: float, middles: Sequence[Floats]) -> list[Pair]:
-    """Pairs most of whose loops of three end farther than ``most_mm`` from where they began, at a part's ``extent``."""
+def open_loops(ties: dict[Pair, Tie], max_mm: float, extent: float, middles: Sequence[Floats]) -> list[Pair]:
+    """Pairs most of whose loops of three end farther than ``max_mm`` from where they began, at a part's ``extent``."""
     linked = {frozenset(pair) for pair in ties}
     opened: dict[frozenset[int], list[bool]] = {pair: [] for pair in linked}
     for a, b, c in combinations(sorted({row for pair in ties for row in pair}), 3):
@@ -46,7 +46,7 @@ def open_loops(ties: dict[Pair, Tie], most_mm: float, extent: float, middles: Se
         moved = np.linalg.norm(move_points(loop, middles[a]) - middles[a])
         turned = float(Rotation.from_matrix(loop[:3, :3]).magnitude())
         for side in sides:
-            opened[side].append(bool(np.hypot(moved, turned * extent) > most_mm))
+            opened[side].append(bool(np.hypot(moved, turned * extent) > max_mm))
     return [pair for pair in ties if (loops := opened[frozenset(pair)]) and 2 * sum(loops) > len(loops)]
 
 
@@ -74,7 +74,9 @@ def poses_along_pairs(ties: dict[Pair, Tie], reference: int, views: int) -> Floa
     return poses
 
 
-def agreed_poses(ties: dict[Pair, Tie], poses: Floats, reference: int, iterations: int = 20) -> tuple[Floats, Floats]:
+def consistent_poses(
+    ties: dict[Pair, Tie], poses: Floats, reference: int, iterations: int = 20
+) -> tuple[Floats, Floats]:
     """Poses that all pairs agree on best, view ``reference`` at rest, and what is left of each pair (K,), mm.
 
     A pair's cost is that of its surfaces: with D the motion that leads from the pair's pose to the views' poses, the

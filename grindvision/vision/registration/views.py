@@ -31,7 +31,7 @@ from grindvision.vision.registration.scan_registration import (
 from grindvision.vision.registration.view_poses import (
     Pair,
     Tie,
-    agreed_poses,
+    consistent_poses,
     largest_group,
     open_loops,
     poses_along_pairs,
@@ -43,7 +43,7 @@ Floats = NDArray[np.float64]
 
 #: A motion of a view (rms over its extent) is free where it moves the surfaces along their normals by less than this
 #: fraction: a camera's own depth error, a few hundredths of a mm, would else pass for mm of motion.
-LEAST_STIFFNESS = 0.03
+MIN_STIFFNESS = 0.03
 
 #: Going round three views must end nearer than this fraction of the part's extent to where it began.
 CLOSED = 0.03
@@ -133,7 +133,7 @@ def register_views(
     reference = max(chosen, key=lambda row: (sum(row in pair for pair in ties), -row))
     poses = poses_along_pairs(ties, reference, len(views))
     middle = np.mean([move_points(poses[row], views[row]).mean(axis=0) for row in chosen], axis=0)
-    poses, left = agreed_poses(ties, rigid(None, -middle) @ poses, reference)
+    poses, left = consistent_poses(ties, rigid(None, -middle) @ poses, reference)
     return ViewRegistration(poses, reference, tuple(ties), left, refused)
 
 
@@ -217,10 +217,10 @@ def _resistance(points: Floats) -> tuple[Floats, float, Floats]:
 
 
 def _free_motions(information: Floats, extent: float, centre: Floats) -> str:
-    """In words, motions that a surface resists by less than ``LEAST_STIFFNESS``; empty where it resists all."""
+    """In words, motions that a surface resists by less than ``MIN_STIFFNESS``; empty where it resists all."""
     scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
     squares, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    weak = squares < LEAST_STIFFNESS**2
+    weak = squares < MIN_STIFFNESS**2
     if not weak.any():
         return ""
     named = motion_names(directions[:, weak] * scale[:, None] * extent, extent, centre)

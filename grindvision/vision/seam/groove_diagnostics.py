@@ -35,28 +35,28 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
 
     None for a groove that is well seen.
     """
-    doubts = []
+    findings = []
     if groove.edges_seen < MIN_BOTH_SIDES:
-        doubts.append(
+        findings.append(
             f"lies partly outside the cloud: only {groove.edges_seen:.0%} of its length shows"
             " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view"
         )
     width = float(np.median(groove.width_mm))
     on_walls = wall_fraction(groove, np.asarray(points, dtype=float).reshape(-1, 3))
     if on_walls < MIN_WALL_FRACTION:
-        doubts.append(
+        findings.append(
             f"({width:.3g} mm wide) may be a gap between two things: only {on_walls:.0%} of its points lie on its"
             " walls, so that its edges and its root are guesses; see in the picture that it is a groove, else crop the"
             " cloud to the part"
         )
     filling = len(groove.members) * spacing_mm**2 / (width * groove.length_mm)
     if filling < MIN_FILLING:
-        doubts.append(
+        findings.append(
             f"holds only {filling:.0%} of the points that its {width:.3g} mm x {groove.length_mm:.3g} mm would show at"
             f" {spacing_mm:.2g} mm spacing; scan again from where the camera looks into it, or crop the cloud to the"
             " part"
         )
-    return doubts
+    return findings
 
 
 def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:

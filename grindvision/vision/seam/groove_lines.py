@@ -58,8 +58,8 @@ class DetectedGroove:
     standard deviation of the root across the seam. ``edges_seen`` is the fraction of stations with surface on both
     sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
-    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_share`` is how much of the width a
-    flat or rounded root takes.
+    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the
+    width a flat or rounded root takes.
     """
 
     members: Integers
@@ -74,7 +74,7 @@ class DetectedGroove:
     edges_seen: float
     ends_mm: float = 0.0
     closed: bool = False
-    floor_share: float = 0.0
+    floor_fraction: float = 0.0
 
     @property
     def length_mm(self) -> float:
@@ -156,14 +156,14 @@ def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: floa
         smooth[first:last, DEPTH][:turns],
         theta.deviation[first:last, ROOT][:turns],
         step,
-        _both_sides_share(sections, smooth, first, last),
+        _both_sides_fraction(sections, smooth, first, last),
         ends_mm,
         closed,
-        _floor_share(fit.corners, width),
+        _floor_fraction(fit.corners, width),
     )
 
 
-def _floor_share(corners: Corners, width: float) -> float:
+def _floor_fraction(corners: Corners, width: float) -> float:
     """How much of a groove's width its flat or rounded root takes; 0 for a sharp one."""
     return 2 * max(corners.floor_mm, corners.root_mm if corners.root_mm > 2 * SHARP * width else 0.0) / width
 
@@ -293,7 +293,7 @@ def _reach_of_ends(along: Floats, first: int, last: int, step: float, spacing_mm
     return float(np.clip(reaches, -step / 2, step / 2).sum())
 
 
-def _both_sides_share(sections: Sections, theta: Floats, first: int, last: int) -> float:
+def _both_sides_fraction(sections: Sections, theta: Floats, first: int, last: int) -> float:
     """Fraction of the stations ``first`` to ``last`` with points of the surface on both sides of the groove."""
     middle, width = (theta[:, LEFT] + theta[:, RIGHT]) / 2, theta[:, RIGHT] - theta[:, LEFT]
     outer = np.abs(sections.across - middle[:, None])

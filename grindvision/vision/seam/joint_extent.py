@@ -68,7 +68,7 @@ def rounding_mm(
     return radius
 
 
-def sharpness(points: Floats, curve: SeamCurve, faces: Faces, turn_rad: float, scale: Scale) -> float:
+def sharpness(points: Floats, curve: SeamCurve, faces: Faces, dihedral_rad: float, scale: Scale) -> float:
     """Fraction of the turn that the faces show when only what is near the root is fitted."""
     near = replace(scale, cell=CLOSE * scale.cell, rounding=0.0)
     if near.far < 3 * near.near:
@@ -80,4 +80,4 @@ def sharpness(points: Floats, curve: SeamCurve, faces: Faces, turn_rad: float, s
     _, slopes = intersections(curve, faces, flat)
     first, second = root_normals(faces, slopes)
     turn = np.arccos(np.clip(np.einsum("si,si->s", first, second), -1, 1))
-    return float(np.median(turn)) / max(turn_rad, 1e-6)
+    return float(np.median(turn)) / max(dihedral_rad, 1e-6)

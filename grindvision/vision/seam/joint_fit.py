@@ -30,7 +30,7 @@ NEAR_PASSES, NEAR_CELLS = 3, 21.0
 #: A rough line is given up where its faces turn by less after the first passes.
 HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
-MIN_SHOWN_TURN_RAD, MIN_SHOWN_DEVIATIONS = np.radians(4.0), 2.0
+MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(4.0), 2.0
 #: Fraction of the usual number of points near the seam below which a station does not show a face.
 MIN_COVERAGE = 0.15
 
@@ -41,8 +41,8 @@ class JointFit:
     """A seam between two faces, at S stations of ``curve``.
 
     ``root`` (S, 3) in mm, ``sigma_mm`` (S,) the standard deviation of its place across the seam; ``normals`` (S, 3)
-    half-way between the faces' normals, which are ``faces.normal``; ``turn_rad`` (S,) the angle between these, with
-    ``turn_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
+    half-way between the faces' normals, which are ``faces.normal``; ``dihedral_rad`` (S,) the angle between these, with
+    ``dihedral_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
     seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
     already: 1 for two faces, less for a surface that bends.
@@ -53,8 +53,8 @@ class JointFit:
     sigma_mm: Floats
     normals: Floats
     faces: Faces
-    turn_rad: Floats
-    turn_sigma_rad: Floats
+    dihedral_rad: Floats
+    dihedral_sigma_rad: Floats
     legs_mm: Floats
     shown: Flags
     noise_mm: Floats
@@ -165,7 +165,7 @@ def _turned(faces: Faces, slopes: Floats, sides: FaceFit, concave: bool) -> Flag
     _, second = root_normals(faces, slopes)
     side = np.einsum("si,si->s", faces.outward[0], second) * (1.0 if concave else -1.0)
     deviation = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
-    return side > np.maximum(np.sin(MIN_SHOWN_TURN_RAD), MIN_SHOWN_DEVIATIONS * deviation)
+    return side > np.maximum(np.sin(MIN_SEEN_DIHEDRAL_RAD), MIN_SHOWN_DEVIATIONS * deviation)
 
 
 def _result(
@@ -181,7 +181,7 @@ def _result(
     turn = np.arccos(np.clip(np.einsum("si,si->s", normals[0], normals[1]), -1, 1))
     sine = np.maximum(np.sin(turn), 0.05)
     level = np.sqrt(sides.covariance[..., 0, 0].sum(axis=0)) / sine
-    turn_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
+    dihedral_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
     weight = np.where(shown, 1 / np.maximum(level, 1e-9) ** 2, 0.0)
     weight = np.minimum(weight, 4 * np.median(weight[shown]))
     smooth = np.stack([smooth_to_noise(displacement[:, k], weight, curve.step_mm)[0] for k in range(2)], axis=1)
@@ -197,11 +197,11 @@ def _result(
     turned = Faces(unit_vectors(faces.outward + slopes[..., None] * faces.normal), facing)
     moved = replace(curve, stations=root)
     legs = leg_lengths(points, moved, turned, sides, scale)
-    share_near = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
+    sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     result = JointFit(
         moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(facing[0] + facing[1]), turned,
-        turn, inflation * turn_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
-        np.unique(np.concatenate(sides.inside)), share_near, closed,
+        turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
+        np.unique(np.concatenate(sides.inside)), sharp_fraction, closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
@@ -263,6 +263,6 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
     here = slice(0, back)
     return replace(
         fit, curve=fit.curve.part(here), root=root[here], sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
-        faces=fit.faces.part(here), turn_rad=fit.turn_rad[here],
-        turn_sigma_rad=fit.turn_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
+        faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
+        dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
     )  # fmt: skip

@@ -17,7 +17,7 @@ TIGHT, BLURRED = 1, 2
 #: Kinds of a pair.
 CONCAVE, CONVEX, STEP = 1, 2, 3
 #: The least angle between two surfaces that meet, rad. Below it a weld seam is not told from a bend by normals.
-MIN_TURN_RAD = np.radians(12.0)
+MIN_DIHEDRAL_RAD = np.radians(12.0)
 #: Spread inside the groups over the distance of the groups. Evenly spread values, halved, have 0.29.
 MAX_SPREAD_RATIO = 0.24
 #: Of two bent surfaces, whose normals are spread as well: the jump of the normals where they meet, as two trends give
@@ -56,7 +56,7 @@ def classify_pairs(
         if len(near) < 2 * MIN_GROUP:
             continue
         spread = _main_axis(normals, weights, near, centre, axis)
-        if spread > (np.sin(MIN_TURN_RAD / 2) * 0.7) ** 2:
+        if spread > (np.sin(MIN_DIHEDRAL_RAD / 2) * 0.7) ** 2:
             split = _split_by_normal(normals, weights, near, centre, axis, group)
             bent = split == BLURRED and _jumps(points, normals, weights, near, group, i, size)
             reach = CLOSE_CELLS * size if bent else np.inf
@@ -234,7 +234,7 @@ def _crease(
         sums[s, 4:7] /= np.sqrt((sums[s, 4:7] ** 2).sum())
     a, b = sums[0, 4:7], sums[1, 4:7]
     cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    if cosine > np.cos(MIN_TURN_RAD):
+    if cosine > np.cos(MIN_DIHEDRAL_RAD):
         return False
     along = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
     sine = np.sqrt((along**2).sum())

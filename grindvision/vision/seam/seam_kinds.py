@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A corner turns by at least this angle, and by so many standard deviations of it; an outside corner by more.
-MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
+MIN_DIHEDRAL_RAD, MIN_DIHEDRAL_SIGMAS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
 #: Where less than this fraction of the turn is there close to the root, a bend is ruled out by such a turn only.
 MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
 #: One surface bends where next to nothing of the turn is there close to the root, and a face bends the same way by so
@@ -46,7 +46,7 @@ MAX_PLATE_MM = 25.0
 #: A step stands out by so many deviations; two levels closer than this fraction of the gap are the two sides of a butt.
 MIN_STEP_DEVIATIONS = 8.0
 #: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
-MAX_HI_LO_MM, MAX_BUTT_TURN_RAD = 4.0, np.radians(10.0)
+MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD = 4.0, np.radians(10.0)
 #: A gap shows something below it at this fraction of its stations, or is wider than so many spacings.
 MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
 #: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
@@ -59,12 +59,12 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     With ``coarse`` cells a bend of the surface looks like a corner: then it has to turn by more.
     """
     shown = fit.shown
-    turn, sigma = np.median(fit.turn_rad[shown]), np.median(fit.turn_sigma_rad[shown])
-    strongest = np.percentile(fit.turn_rad[shown], 80)
-    least = MIN_TURN_RAD if concave else MIN_OUTSIDE_RAD
+    turn, sigma = np.median(fit.dihedral_rad[shown]), np.median(fit.dihedral_sigma_rad[shown])
+    strongest = np.percentile(fit.dihedral_rad[shown], 80)
+    least = MIN_DIHEDRAL_RAD if concave else MIN_OUTSIDE_RAD
     if coarse or fit.sharpness < MIN_SHARPNESS:
         least = max(least, MIN_ROUNDED_RAD)
-    if strongest < least or turn < MIN_TURN_DEVIATIONS * sigma:
+    if strongest < least or turn < MIN_DIHEDRAL_SIGMAS * sigma:
         return False
     bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
     if fit.sharpness < MIN_ANY_SHARPNESS and bend > ONE_BEND_RAD:
@@ -74,18 +74,18 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     if fit.noise_mm.max() > 2.5 * scale.noise + MAX_SCATTER_CELLS * scale.cell:
         return False
     legs = np.median(fit.legs_mm[:, shown], axis=1)
-    least_leg = MIN_LEG_CELLS * scale.cell
+    min_leg = MIN_LEG_CELLS * scale.cell
     if not concave:
-        least_leg = max(MIN_OUTSIDE_CELLS * scale.cell, MIN_OUTSIDE_MM)
-    return bool(legs.min() > least_leg)
+        min_leg = max(MIN_OUTSIDE_CELLS * scale.cell, MIN_OUTSIDE_MM)
+    return bool(legs.min() > min_leg)
 
 
 def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool, towards: Floats | None) -> Seam:
     """The corner as a named seam; the scanner stands at ``towards`` (3,), if that is known."""
     shapes = face_shapes(fit, surfels, normals)
-    turn = np.degrees(fit.turn_rad)
+    turn = np.degrees(fit.dihedral_rad)
     opening = 180 - turn if concave else 180 + turn
-    sigma = float(np.degrees(np.median(fit.turn_sigma_rad[fit.shown])))
+    sigma = float(np.degrees(np.median(fit.dihedral_sigma_rad[fit.shown])))
     angle = f"{np.median(opening):.1f} +- {max(sigma, 0.05):.1g} deg"
     step = np.zeros(len(fit.root))
     if not concave:
@@ -144,7 +144,7 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
     shown = fit.shown
     step, width = float(np.median(fit.step_mm[shown])), float(np.median(fit.gap_mm[shown]))
     turn = float(np.median(vector_angle(fit.normals[0], fit.normals[1])[shown]))
-    if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_TURN_RAD:
+    if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_DIHEDRAL_RAD:
         return None
     if fit.noise_mm > 2.5 * scale.noise + 0.08 * scale.cell:
         return None
@@ -206,7 +206,7 @@ def groove_seam(groove: DetectedGroove) -> Seam:
     span = np.abs(((groove.right - groove.left) * across).sum(axis=1))
     place = np.abs(((groove.root - groove.left) * across).sum(axis=1)) / np.maximum(span, 1e-9)
     skew = float(np.median(place))
-    floor = groove.floor_share
+    floor = groove.floor_fraction
     if min(skew, 1 - skew) < BEVEL_SKEW:
         kind, why = BEVEL, f"one wall is upright: the root lies {min(skew, 1 - skew):.0%} of the width from its edge"
     elif floor > U_FLOOR:

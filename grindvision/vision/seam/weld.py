@@ -137,36 +137,36 @@ def trace_weld(points: ArrayLike, options: TraceWeldOptions | None = None) -> We
         labels, grooves = detected.labels, tuple(seam.groove for seam in seams if seam.groove is not None)
         left_out = detected.grooves.left_out if grooves and detected.grooves is not None else ()
         paths = tuple(root_path(seam.groove or seam, waypoints) for seam in seams)
-        for doubt in _doubts(detected, points):
-            warnings.warn(doubt, GrindvisionWarning, stacklevel=2)
+        for finding in _findings(detected, points):
+            warnings.warn(finding, GrindvisionWarning, stacklevel=2)
     end = time.perf_counter()
     timings = {"detect": found - begin, "path": end - found}
     return Weld(variant, labels, paths, grooves, timings, spacing, left_out, seams, weaker)
 
 
-def _doubts(detected: SeamDetection, points: ArrayLike) -> list[str]:
+def _findings(detected: SeamDetection, points: ArrayLike) -> list[str]:
     """What makes the seams doubtful, a sentence each."""
-    doubts = []
+    findings = []
     grooves = [seam.groove for seam in detected.seams if seam.groove is not None]
     if grooves and detected.grooves is not None and detected.grooves.cluttered:
-        doubts.append(
+        findings.append(
             "the largest hollows of the scene are gaps between things, no grooves: see in the picture that the path"
             " lies in the groove, else crop the cloud to the part"
         )
     for number, groove in enumerate(grooves, start=1):
-        doubts += [f"groove {number} {doubt}" for doubt in diagnose_groove(groove, points, detected.spacing_mm)]
+        findings += [f"groove {number} {finding}" for finding in diagnose_groove(groove, points, detected.spacing_mm)]
     for number, seam in enumerate(detected.seams, start=1):
         if seam.interruptions:
             where = ", ".join(map(str, seam.interruptions))
-            doubts.append(f"seam {number} ({seam.kind}) is not seen at {where} of its length: the path bridges it")
+            findings.append(f"seam {number} ({seam.kind}) is not seen at {where} of its length: the path bridges it")
     if detected.view_assumed:
-        doubts.append(
+        findings.append(
             "nothing tells from which side the scan was taken; the side that looks up was taken: give the viewpoint, or"
             " a corner may be taken inside out"
         )
     if detected.weaker:
-        doubts.append(f"less certain, and not followed: {'; '.join(map(str, detected.weaker))}; ask for them by kind")
-    return doubts
+        findings.append(f"less certain, and not followed: {'; '.join(map(str, detected.weaker))}; ask for them by kind")
+    return findings
 
 
 def _also(words: str, grooves: tuple[DetectedGroove, ...]) -> str:

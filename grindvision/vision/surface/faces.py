@@ -27,7 +27,7 @@ MAX_ROUGH = 0.05
 """Surfels rougher than three times the usual and so many cells lie on edges, or where the surface curves strongly."""
 
 
-def label_faces(surfels: Surfels, min_share: float = 0.01, min_surfels: int = 40) -> Integers:
+def label_faces(surfels: Surfels, min_fraction: float = 0.01, min_surfels: int = 40) -> Integers:
     """Face (M,) of every surfel, largest first from 0 on; -1 on edges and on faces that are smaller than a share of all
     surfels or than so many."""
     points, normals, size = surfels.points, surfels.normals, surfels.grid.size_mm
@@ -43,7 +43,7 @@ def label_faces(surfels: Surfels, min_share: float = 0.01, min_surfels: int = 40
     counts = np.bincount(piece)
     order = np.argsort(-counts, kind="stable")
     rank = np.full(len(counts), -1)
-    large = counts[order] >= max(min_surfels, min_share * len(points))
+    large = counts[order] >= max(min_surfels, min_fraction * len(points))
     rank[order[large]] = np.arange(large.sum())
     labels = rank[piece].astype(np.int64)
     # surfels at a face's rim lie on its plane, but are rough for what lies beside it

@@ -45,7 +45,7 @@ class Facets:
     """Triangles in mm: ``corners`` (T, 3, 3), outward unit ``normals`` (T, 3), ``areas_mm2`` (T,).
 
     ``degenerate``: how many had no area and were left out; ``turned``: how many were wound inside out, of an area of
-    ``turned_mm2``; ``closed``: whether they bound a solid; ``sided``: whether it was told which side is outside, of
+    ``flipped_mm2``; ``closed``: whether they bound a solid; ``sided``: whether it was told which side is outside, of
     most of their area.
     """
 
@@ -54,7 +54,7 @@ class Facets:
     areas_mm2: Floats
     degenerate: int
     turned: int
-    turned_mm2: float
+    flipped_mm2: float
     closed: bool
     sided: bool
 
