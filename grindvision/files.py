@@ -149,6 +149,10 @@ def read_table(
             table[ours] = given[parts[0][1]]
         else:
             table[ours] = sum(sign * _floats(path, given, part) for sign, part in parts)
+        stem, _, unit = ours.rpartition("_")  # what was named goes before the file's own column in the unit used here
+        own = next((f"{stem}_{one}" for one, (other, _) in UNITS.items() if other == unit), None)
+        if own in table.columns and own not in (columns or {}):
+            table = table.drop(columns=own)
     missing = []
     for name in (*texts, *numbers):
         stem, _, unit = name.rpartition("_")

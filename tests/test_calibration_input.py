@@ -276,6 +276,15 @@ def test_covariance_columns_are_read(folder):
     assert covariance is not None and covariance[5].tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
 
 
+def test_a_column_that_is_named_goes_before_the_files_own_in_another_unit(tmp_path):
+    """It was read from the file's own column, without a word."""
+    head = "q1_rad,joint,sx_mm,sy_mm,sz_mm,bx_mm,bx_m,by_mm,bz_mm"
+    (tmp_path / "m.csv").write_text(f"{head}\n9,90,0,0,0,1,7,2,3\n9,45,0,0,0,1,7,2,4\n")
+    found = read_measurements(tmp_path / "m.csv", 1, {"q1_deg": "joint", "bx_m": "bx_m"})
+    np.testing.assert_allclose(found.q_rad[:, 0], np.radians([90, 45]))
+    assert found.tracker_mm[0, 0] == 7000
+
+
 def test_a_tracked_arm_needs_neither_labels_nor_scanner_columns(tmp_path, rng):
     made = rig(er3a(), rng, rows=80, on_tool=True, off_mm=0, off_rad=0)
     table = as_table(made.measurements, split=False).drop(columns=["pose", "sphere", "sx_mm", "sy_mm", "sz_mm"])

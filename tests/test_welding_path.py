@@ -434,7 +434,7 @@ def test_the_way_out_is_looked_at_all_along():
     bar = box("bar", [4.0, 4.0, 4.0], shaft)
     blocked = PlanMotionOptions(table_top_mm=-500.0, obstacles=(bar,), backed_off_mm=120.0)
     with pytest.raises(CollisionError, match="bar"):
-        plan_motion(robot, path.trajectory, path.plan_options(replace(blocked, least_clearance_mm=4.0)))
+        plan_motion(robot, path.trajectory, path.plan_options(replace(blocked, min_clearance_mm=4.0)))
 
 
 def test_a_plain_programme_and_a_welding_one_say_the_same_along_a_plain_seam():

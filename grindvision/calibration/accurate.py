@@ -148,10 +148,7 @@ class Calibration:
 
 @one_blas_thread()
 def calibrate(
-    measurements: Measurements,
-    arm: MdhArm,
-    options: Options | None = None,
-    start: ScannerOnArm | None = None,
+    measurements: Measurements, arm: MdhArm, options: Options | None = None, start: ScannerOnArm | None = None
 ) -> Calibration:
     """Calibrate scanner, arm and base on the training rows of ``measurements``, from the nominal ``arm``.
 
@@ -189,30 +186,20 @@ def calibrate(
     warnings = list(check_measurements(measurements, arm, len(unknowns)))
     fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
     training = measurements.rows(fitted).with_known_distances()
+    ours = options.variant != "paper"
     coarse = start or coarse_start(training, arm, options.base_fixed, options.seed).cell
-    if options.variant == "paper":
-        fit = linear_step(coarse, unknowns, training, options.tolerance)
-    else:
-        try:
-            fit = iterated_fit(coarse, arm, unknowns, training, options)
-        except UnitError:  # an angle ran beyond a turn: nothing near the nominal arm fits, and ``check_fit`` says why
-            fit = Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+    fit = _fitted(coarse, arm, unknowns, training, options)
     if measurements.fixtures:
         fit = replace(fit, cell=place_unseen_fixtures(fit.cell, measurements, training))
         coarse = place_unseen_fixtures(coarse, measurements, training)
     warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed, options.seed)
-    if not fit.kept.all() and options.variant != "paper" and fit.kept.mean() > 0.5:
-        warnings += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
-    if not fit.converged:
-        warnings.append("the iteration did not converge: look at the residuals before you use the result")
     dropped = tuple(int(row) for row in fitted[~fit.kept])
-    warnings += _named(dropped, measurements, *LEFT_OUT)
+    warnings += _judged(fit, arm, unknowns, training, ours) + _named(dropped, measurements, *LEFT_OUT)
     if not measurements.train.all():
         warnings += _judge_test_rows(fit, unknowns, training, measurements)
     used = training.rows(fit.kept)
     findings: tuple[Finding, ...] = ()
     beyond = None
-    ours = options.variant != "paper"
     white = whitened_jacobian(fit.cell, unknowns, used, fit.sigmas)
     knowledge = analyse(white, unknowns.names, unit_sizes(used, unknowns), options.worst_std)
     load = options.load or uniform_load(arm, options.down)
@@ -225,22 +212,30 @@ def calibrate(
         kinds = kinds_of_terms(load, used.q_rad, options.gear_ratios)
         beyond = choose_terms(fit.cell, arm, unknowns, used, fit.sigmas, kinds, options.seed)
     return Calibration(
-        fit.cell,
-        coarse,
-        unknowns,
-        _change(coarse, fit.cell, unknowns),
-        honest_covariance(error, findings),
-        knowledge,
-        fit.sigmas,
-        measurements,
-        dropped,
-        fit.iterations,
-        fit.converged,
-        tuple(dict.fromkeys(warnings)),
-        findings,
-        error,
-        beyond,
-    )
+        fit.cell, coarse, unknowns, _change(coarse, fit.cell, unknowns), honest_covariance(error, findings), knowledge,
+        fit.sigmas, measurements, dropped, fit.iterations, fit.converged, tuple(dict.fromkeys(warnings)), findings,
+        error, beyond,
+    )  # fmt: skip
+
+
+def _fitted(coarse: ScannerOnArm, arm: MdhArm, unknowns: Unknowns, training: Measurements, options: Options) -> Fit:
+    """The fit of the variant asked for; where nothing near the nominal arm fits, the start with every row."""
+    if options.variant == "paper":
+        return linear_step(coarse, unknowns, training, options.tolerance)
+    try:
+        return iterated_fit(coarse, arm, unknowns, training, options)
+    except UnitError:  # an angle ran beyond a turn; ``check_fit`` says why
+        return Fit(coarse, Sigmas(0.1, 0.0, 1.0, 2e-3), np.ones(len(training), dtype=bool), 0, False)
+
+
+def _judged(fit: Fit, arm: MdhArm, unknowns: Unknowns, training: Measurements, ours: bool) -> list[str]:
+    """What the rows that the fit left out, and its iteration, say against it."""
+    said = []
+    if not fit.kept.all() and ours and fit.kept.mean() > 0.5:
+        said += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
+    if not fit.converged:
+        said.append("the iteration did not converge: look at the residuals before you use the result")
+    return said
 
 
 def _findings(

@@ -81,10 +81,7 @@ def read_measurements(
         >>> measurements.q_rad.shape, measurements.scanner_mm.shape
         ((114, 4), (114, 3))
     """
-    columns = columns or {}
-    for name in columns:
-        if not KNOWN.fullmatch(name):
-            raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
+    columns = _checked_names(columns or {})
     names = {*column_names(path), *columns}
     count = _joint_count(path, names, joints, columns)
     angles = [f"q{i + 1}_{'mm' if i in prismatic else 'rad'}" for i in range(count)]
@@ -95,23 +92,15 @@ def read_measurements(
     measured = [] if touching and not tracked else ["bx_mm", "by_mm", "bz_mm"]
     covariances = list(COVARIANCE_COLUMNS) if set(COVARIANCE_COLUMNS) <= names else []
     orientation = _orientation_columns(names)
-    own = dict(columns)
-    for name in angles:  # a mapping of a joint goes before the file's own column of that joint in another unit
-        given = [ours for ours in columns if ours.startswith(name.partition("_")[0] + "_")]
-        if given and given[0] != name and given[0].replace("_deg", "_rad").replace("_m", "_mm") == name:
-            own[given[0]] = columns[given[0]]
-    table = read_table(path, (*angles, *seen, *measured, *covariances, *orientation), texts, own)
+    table = read_table(path, (*angles, *seen, *measured, *covariances, *orientation), texts, columns)
     labels = {name: _label_column(table, name) for name in texts}
     q_rad = table[angles].to_numpy(dtype=float)
     pose = labels.get("pose", first_visits(q_rad).astype(str))
-    covariance = table[covariances].to_numpy(dtype=float) if covariances else None
     values: dict[str, Any] = {
         "pose": pose,
         "sphere": labels.get("sphere", pose),
         "train": _train_rows(path, labels["split"]) if "split" in labels else None,
-        "scanner_covariance_mm2": (
-            None if covariance is None else covariance[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        ),
+        "scanner_covariance_mm2": _symmetric(table[covariances].to_numpy(dtype=float)) if covariances else None,
     }
     if "reflector" in labels:
         found, number = np.unique(labels["reflector"], return_inverse=True)
@@ -151,6 +140,18 @@ def _joint_count(path: str | Path, names: Collection[str], joints: int | None, c
             " joints; give the table up to the joint that carries the scanner"
         )
     return numbered
+
+
+def _checked_names(columns: Mapping[str, str]) -> Mapping[str, str]:
+    for name in columns:
+        if not KNOWN.fullmatch(name):
+            raise InputError(f"{name!r} is no column of a measurement table; use {KNOWN_WORDS}")
+    return columns
+
+
+def _symmetric(columns: Floats) -> Floats:
+    """Matrices (M, 3, 3) from columns (M, 6) that hold xx, xy, xz, yy, yz, zz."""
+    return columns[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 
 def _label_column(table: pd.DataFrame, name: str) -> NDArray[np.str_]:

@@ -16,6 +16,7 @@ from grindvision.errors import GrindvisionError, GrindvisionWarning, InputError
 if TYPE_CHECKING:
     from grindvision.arm import MdhArm
     from grindvision.calibration import Calibration, Measurements
+    from grindvision.calibration import Options as CalibrateOptions
 
 EPILOG = """\
 MEASUREMENTS.csv, one row per point measured at one pose of the arm, below a line of names; commas, semicolons, tabs or
@@ -155,15 +156,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.pictures import drawing
 
     draw = drawing("calibrate_picture")
-    settings = calibration.Options(
-        base_fixed=options.base_fixed,
-        robust=not options.keep_all,
-        variant=options.variant,
-        beyond_geometry=options.beyond_geometry == "auto",
-        gear_ratios=tuple(options.gear_ratios or ()),
-        down=_unit_vector(options.down),
-        seed=options.seed,
-    )
+    settings = _settings(options)
     with Run(options, ("measurements",), ("numpy", "scipy", "matplotlib"), 7, OUTDATED) as work:
         with work.stage("read"):
             measurements, arm, source = _read(options, columns)
@@ -197,15 +190,7 @@ def run(options: argparse.Namespace) -> int:
             write_results(result, source, suggestion, work.place)
         with work.stage("picture"):
             draw(result, unseen, predicted, work.warnings, work.place / "report.png")
-        values: dict[str, Any] = {
-            "joints": arm.n,
-            "measured point": _measured_point(measurements),
-            "length_prior_mm": result.sigmas.length_mm,
-            "angle_prior_rad": result.sigmas.angle_rad,
-        }
-        if options.free is None and options.fix is None:
-            names, entries = result.unknowns.names, result.unknowns.in_table
-            values["free"] = [name for name, entry in zip(names, entries, strict=True) if entry]
+        values = _from_the_data(options, result, measurements)
         shown = [str(unseen)]
         if result.dropped:
             shown.append(f"rows left out: {result.errors_of_dropped()}")
@@ -216,6 +201,33 @@ def run(options: argparse.Namespace) -> int:
             shown.append(f"{suggestion} (suggested_poses.csv)")
         work.report(str(result), results_of(result, unseen, predicted, suggestion), values, shown="\n".join(shown))
     return 0
+
+
+def _settings(options: argparse.Namespace) -> CalibrateOptions:
+    from grindvision.calibration import Options
+
+    return Options(
+        base_fixed=options.base_fixed,
+        robust=not options.keep_all,
+        variant=options.variant,
+        beyond_geometry=options.beyond_geometry == "auto",
+        gear_ratios=tuple(options.gear_ratios or ()),
+        down=_unit_vector(options.down),
+        seed=options.seed,
+    )
+
+
+def _from_the_data(options: argparse.Namespace, result: Calibration, measurements: Measurements) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        "joints": result.arm.n,
+        "measured point": _measured_point(measurements),
+        "length_prior_mm": result.sigmas.length_mm,
+        "angle_prior_rad": result.sigmas.angle_rad,
+    }
+    if options.free is None and options.fix is None:
+        names, entries = result.unknowns.names, result.unknowns.in_table
+        values["free"] = [name for name, entry in zip(names, entries, strict=True) if entry]
+    return values
 
 
 def _calibrated(

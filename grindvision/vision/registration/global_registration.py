@@ -6,6 +6,8 @@ are scored in batches and the best distinct ones kept. ``verification`` then dec
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,16 +22,26 @@ Integers = NDArray[np.int64]
 COS_AGREE = float(np.cos(np.radians(15)))
 """Cosine of the angle up to which two angles of a pair of correspondences agree."""
 
-ROUNDS = ((300, 4_000, 1, 0.45), (1_200, 40_000, 5, 0.1))
-"""Keypoints asked for similar ones, samples in a batch, most batches, share of agreeing keypoints that ends it: few
-first, which decide where much agrees; many where those leave a doubt."""
+
+class _Round(NamedTuple):
+    """Keypoints asked for similar ones, samples in a batch, most batches, and the fraction of agreeing keypoints that
+    ends it."""
+
+    queries: int
+    batch: int
+    batches: int
+    enough: float
+
+
+ROUNDS = (_Round(300, 4_000, 1, 0.45), _Round(1_200, 40_000, 5, 0.1))
+"""Few first, which decide where much agrees; many where those leave a doubt."""
 
 
 @one_blas_thread()
 def propose_poses(
     source: Keypoints, target: Keypoints, rng: np.random.Generator, similar: int = 3, kept: int = 40
 ) -> tuple[Floats, Floats]:
-    """Likely poses T_target_source (K, 4, 4), best first, and the share of keypoints (K,) that agrees with each.
+    """Likely poses T_target_source (K, 4, 4), best first, and the fraction of keypoints (K,) that agrees with each.
 
     Steps 1-3 of section 3.3 made cheap: a sample is two points with their normals, which fix a pose; it is dropped
     unless the two distances agree within two spacings, the angles between normals within 15 degrees, and those of each
@@ -46,11 +58,8 @@ def propose_poses(
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
     centre = source.points.mean(axis=0)
     # the short round draws from a stream of its own: where it decides nothing, all goes on as if it had not been
-    for (queries, batch, batches, enough), draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
-        chosen = _distinctive(source.features, queries, draws)
-        poses, fractions, clear = _sampled(
-            source, target, chosen, draws, batch, batches, enough, similar, centre, extent
-        )
+    for asked, draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
+        poses, fractions, clear = _sampled(source, target, draws, asked, similar, centre, extent)
         if clear:
             break
     if len(poses) == 0:
@@ -70,20 +79,25 @@ def distinct_poses(
 
 
 def _sampled(
-    source: Keypoints, target: Keypoints, chosen: NDArray[np.int64], rng: np.random.Generator,
-    batch: int, batches: int, enough: float, similar: int, centre: Floats, extent: float,
+    source: Keypoints, target: Keypoints, rng: np.random.Generator, asked: _Round, similar: int,
+    centre: Floats, extent: float,
 ) -> tuple[Floats, Floats, bool]:  # fmt: skip
-    """Poses (K, 4, 4) of samples of the ``chosen`` keypoints, best first, the share (K,) of these keypoints that agrees
+    """Poses (K, 4, 4) of samples of distinctive keypoints, best first, the fraction (K,) of these keypoints that agrees
     with each, and whether the best is far ahead."""
+    chosen = _distinctive(source.features, asked.queries, rng)
     t = most_similar(source.features[chosen], target.features, similar).ravel()
     s = np.repeat(chosen, similar)
     matches = (source.points[s], source.normals[s], target.points[t], target.normals[t])
     part = tuple(column[: len(chosen) // 4 * similar] for column in matches)
     spacing = max(source.spacing_mm, target.spacing_mm)
     poses, fractions = np.empty((0, 4, 4)), np.empty(0)
-    for _ in range(batches):
+    for _ in range(asked.batches):
         first, second = _agreeing_pairs(
-            *matches, rng.integers(len(s), size=(batch, 2)), max(0.08 * extent, 4 * spacing), 2 * spacing, COS_AGREE
+            *matches,
+            rng.integers(len(s), size=(asked.batch, 2)),
+            max(0.08 * extent, 4 * spacing),
+            2 * spacing,
+            COS_AGREE,
         )
         found = _poses_of_pairs(*matches, first[:2000], second[:2000])
         found = found[np.argsort(-_all_votes(found, part, 3 * spacing, similar), kind="stable")[:150]]
@@ -92,7 +106,7 @@ def _sampled(
         order = np.argsort(-fractions, kind="stable")
         poses, fractions = poses[order], fractions[order]
         _, best = distinct_poses(poses, fractions, centre, 0.15 * extent, np.radians(20), 2)
-        if len(best) and best[0] > max(enough, 1.5 * best[1:].sum()):
+        if len(best) and best[0] > max(asked.enough, 1.5 * best[1:].sum()):
             return poses, fractions, True
     return poses, fractions, False
 

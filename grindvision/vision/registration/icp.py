@@ -7,8 +7,7 @@ and at smooth distortion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,17 +104,11 @@ def icp_points(
     centre = moved.mean(axis=0)
     jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(moved), 3, 3)), -skew(moved - centre)], axis=2)
     information = np.einsum("nij,nik->jk", jacobian, jacobian)
-    return registration_result(
-        transform,
-        np.sqrt(errors[-1]),
-        used.mean(),
-        errors,
-        converged,
-        centre,
-        information,
-        3 * used.sum(),
-        np.sqrt(errors[-1] / 3),
-    )
+    covariance = pose_covariance(information, 3 * int(used.sum()), np.sqrt(errors[-1] / 3))
+    return FineRegistration(
+        transform, float(np.sqrt(errors[-1])), float(used.mean()), len(errors), converged, centre, information,
+        covariance, np.array(errors),
+    )  # fmt: skip
 
 
 def icp_generalised(
@@ -152,39 +145,19 @@ def icp_generalised(
     # about the centre
     back = result.T_target_source[:3, :3].T
     change = np.block([[np.zeros((3, 3)), back], [back, skew(source.mean(axis=0)) @ back]])
-    found = registration_result(
-        result.T_target_source, np.sqrt(error), result.num_inliers / len(source), [error], result.converged,
-        move_points(result.T_target_source, source.mean(axis=0)), change.T @ result.H @ change, result.num_inliers, 1.0,
+    information = change.T @ result.H @ change
+    return FineRegistration(
+        result.T_target_source, float(np.sqrt(error)), result.num_inliers / len(source), int(result.iterations),
+        bool(result.converged), move_points(result.T_target_source, source.mean(axis=0)), information,
+        pose_covariance(information, result.num_inliers, 1.0), np.array([error]),
     )  # fmt: skip
-    return replace(found, iterations=int(result.iterations))
 
 
-def registration_result(
-    transform: Floats,
-    rms: float,
-    overlap: float,
-    errors: Sequence[float] | Floats,
-    converged: bool,
-    centre: Floats,
-    information: Floats,
-    number: float,
-    sigma: float,
-) -> FineRegistration:
-    """Pack a result; the covariance follows from ``number`` residuals of standard deviation ``sigma``."""
+def pose_covariance(information: Floats, number: float, sigma: float) -> Floats:
+    """Covariance (6, 6) of a pose from the information of ``number`` residuals of standard deviation ``sigma``; NaN
+    where they do not hold every motion."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale)
     if number > 6 and np.linalg.cond(scaled) < 1e12:
-        covariance = sigma**2 * number / (number - 6) * np.linalg.inv(scaled) / np.outer(scale, scale)
-    else:
-        covariance = np.full((6, 6), np.nan)
-    return FineRegistration(
-        transform,
-        float(rms),
-        float(overlap),
-        len(errors),
-        bool(converged),
-        centre,
-        information,
-        covariance,
-        np.array(errors),
-    )
+        return np.asarray(sigma**2 * number / (number - 6) * np.linalg.inv(scaled) / np.outer(scale, scale))
+    return np.full((6, 6), np.nan)

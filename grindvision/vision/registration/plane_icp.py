@@ -13,7 +13,7 @@ from grindvision.geometry.hash_grid import CellGrid
 from grindvision.geometry.neighbours import nearest_one
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
-from grindvision.vision.registration.icp import FineRegistration, registration_result
+from grindvision.vision.registration.icp import FineRegistration, pose_covariance
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,10 @@ def icp_planes(
         )
     transform = rigid(nearest_rotation(transform[:3, :3]), transform[:3, 3])
     rms = float(np.sqrt(errors[-1]))
-    return registration_result(transform, rms, pairs / len(source), errors, converged, centre, information, weight, rms)
+    return FineRegistration(
+        transform, rms, pairs / len(source), len(errors), converged, centre, information,
+        pose_covariance(information, weight, rms), errors,
+    )  # fmt: skip
 
 
 def plane_residuals(
@@ -216,6 +219,36 @@ def _rotate_and_translate(transform: Floats, centre: Floats, step: Floats) -> fl
 
 
 @njit(cache=True, nogil=True)
+def _normal_equations(
+    found: _Matches, target_normals: Floats, centre: Floats, cut: float, matrix: Floats, right: Floats
+) -> tuple[float, float]:
+    """Fill the ``matrix`` (6, 6) and ``right`` side (6,) of the step about a centre (3,), residuals weighted by Tukey's
+    function with this ``cut``; the sums of the weights and of the weighted squares."""
+    moved, match, residual = found.moved, found.planes, found.residuals
+    matrix[:, :], right[:] = 0.0, 0.0
+    total, square = 0.0, 0.0
+    row = np.empty(6)
+    for p in range(len(match)):
+        if match[p] < 0 or abs(residual[p]) >= cut:
+            continue
+        weight = (1 - (residual[p] / cut) ** 2) ** 2
+        n = target_normals[match[p]]
+        x, y, z = moved[p, 0] - centre[0], moved[p, 1] - centre[1], moved[p, 2] - centre[2]
+        row[0], row[1], row[2] = n[0], n[1], n[2]
+        row[3], row[4], row[5] = y * n[2] - z * n[1], z * n[0] - x * n[2], x * n[1] - y * n[0]
+        for a in range(6):
+            for b in range(a, 6):
+                matrix[a, b] += weight * row[a] * row[b]
+            right[a] -= weight * row[a] * residual[p]
+        total += weight
+        square += weight * residual[p] ** 2
+    for a in range(6):
+        for b in range(a):
+            matrix[a, b] = matrix[b, a]
+    return total, square
+
+
+@njit(cache=True, nogil=True)
 def _plane_icp(
     source: Floats,
     normals: Floats,
@@ -237,7 +270,6 @@ def _plane_icp(
     done, converged = 0, False
     matrix, right = np.zeros((6, 6)), np.zeros(6)
     centre = np.zeros(3)
-    row = np.empty(6)
     pairs, total = 0, 0.0
     for iteration in range(iterations):
         _match(source, normals, current, target_normals, grid, limits, found)
@@ -257,25 +289,7 @@ def _plane_icp(
             centre[k] /= pairs
         scale = max(1.4826 * np.median(sizes[:pairs]), min_scale, 1e-12)
         cut = 4.685 * scale
-        matrix[:, :], right[:] = 0.0, 0.0
-        total, square = 0.0, 0.0
-        for p in range(count):
-            if match[p] < 0 or abs(residual[p]) >= cut:
-                continue
-            weight = (1 - (residual[p] / cut) ** 2) ** 2
-            n = target_normals[match[p]]
-            x, y, z = moved[p, 0] - centre[0], moved[p, 1] - centre[1], moved[p, 2] - centre[2]
-            row[0], row[1], row[2] = n[0], n[1], n[2]
-            row[3], row[4], row[5] = y * n[2] - z * n[1], z * n[0] - x * n[2], x * n[1] - y * n[0]
-            for a in range(6):
-                for b in range(a, 6):
-                    matrix[a, b] += weight * row[a] * row[b]
-                right[a] -= weight * row[a] * residual[p]
-            total += weight
-            square += weight * residual[p] ** 2
-        for a in range(6):
-            for b in range(a):
-                matrix[a, b] = matrix[b, a]
+        total, square = _normal_equations(found, target_normals, centre, cut, matrix, right)
         errors[iteration] = square / total
         done = iteration + 1
         damped = matrix.copy()

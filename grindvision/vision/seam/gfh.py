@@ -26,6 +26,21 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+ACOS = tuple(
+    np.float32(k)
+    for k in (
+        1.5707963050,
+        -0.2145988016,
+        0.0889789874,
+        -0.0501743046,
+        0.0308918810,
+        -0.0170881256,
+        0.0066700901,
+        -0.0012624911,
+    )
+)
+"""acos(c) / sqrt(1 - c) as a polynomial of 0 <= c <= 1: Abramowitz and Stegun 4.4.46, error below 2e-8 rad."""
+
 
 @by_content
 @dataclass(frozen=True)
@@ -198,18 +213,7 @@ def _angles(
     zero: Any = np.float32(0)
     one: Any = np.float32(1)
     two, degrees = np.float32(2), np.float32(180 / np.pi)
-    k0, k1, k2, k3 = (
-        np.float32(1.5707963050),
-        np.float32(-0.2145988016),
-        np.float32(0.0889789874),
-        np.float32(-0.0501743046),
-    )
-    k4, k5, k6, k7 = (
-        np.float32(0.0308918810),
-        np.float32(-0.0170881256),
-        np.float32(0.0066700901),
-        np.float32(-0.0012624911),
-    )
+    k0, k1, k2, k3, k4, k5, k6, k7 = ACOS
     pi = np.float32(np.pi)
     for cell in range(first, last):
         found, count = gather(cell, grid, found)
@@ -238,7 +242,6 @@ def _angles(
                 fall = (bx * bx + by * by + bz * bz) / two
                 short = max(min(fall, two - fall), zero)
                 c = one - short
-                # acos by Abramowitz and Stegun 4.4.46, error below 2e-8 rad
                 bend = np.sqrt(short) * (k0 + c * (k1 + c * (k2 + c * (k3 + c * (k4 + c * (k5 + c * (k6 + c * k7)))))))
                 t = degrees * (bend if fall <= one else pi - bend)
                 g = near[6, m] - here
