@@ -93,6 +93,37 @@ def draw_projection(paths: pd.DataFrame, across: str, up: str) -> Figure:
     return fig
 
 
+def draw_squares(axes: Axes, paths: pd.DataFrame, across: str, up: str) -> pd.DataFrame:
+    """Every point of the paths about the middle of those that correspond, each with its square, to one scale.
+
+    Args:
+        axes: to draw into.
+        paths: as in ``draw_curves``.
+        across, up: axes of the base frame, ``x``, ``y`` or ``z``.
+
+    Returns:
+        What is drawn: ``orientation, point`` and the two distances from the middle, mm.
+    """
+    import pandas as pd
+
+    parts = []
+    for number, here in paths.groupby("point"):
+        row, column = divmod(int(number) - 1, 3)
+        place, centre = np.array([column, -row]) * 2 * _VIEW_MM, _middle(here, across, up)
+        off = here[[f"{across}_mm", f"{up}_mm"]] - centre
+        _draw_points(axes, (off + place).assign(orientation=here["orientation"]), across, up, lines=False)
+        _draw_square(axes, place)
+        axes.annotate(str(number), place + [0.0, 0.29], ha="center", va="bottom", fontsize="small")
+        parts.append(here[["orientation", "point"]].join(off))
+    axes.set(aspect="equal", xticks=[], yticks=[], xlim=(-0.45, 2.13), ylim=(-1.6, 0.55))
+    axes.set_axis_off()
+    count = paths["orientation"].nunique()
+    marks, names = axes.get_legend_handles_labels()
+    spaces = {"handlelength": 0.6, "handletextpad": 0.3, "columnspacing": 0.8}
+    axes.legend(marks[:count], names[:count], loc="lower center", ncols=count, fontsize=7, **spaces)
+    return pd.concat(parts)
+
+
 def _draw_points(axes: Axes, paths: pd.DataFrame, across: str, up: str, lines: bool) -> None:
     for (name, path), colour, marker in zip(paths.groupby("orientation"), _colours(), _MARKERS, strict=False):
         style = {"linewidth": 1.0} if lines else {"linestyle": "none"}

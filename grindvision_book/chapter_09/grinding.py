@@ -37,7 +37,8 @@ class Wheel:
 class GroundBead:
     """Heights (S, U) above the good surface, before and after, at ``s_mm`` (S,) and ``u_mm`` (U,).
 
-    ``along`` (S,) marks the part of the bead between the path's first and last point.
+    ``along`` (S,) marks the part of the bead between the path's first and last point. ``wheel_s_mm, wheel_u_mm`` (P,):
+    where the middle of the wheel passed.
     """
 
     s_mm: Floats
@@ -45,6 +46,8 @@ class GroundBead:
     before_mm: Floats
     after_mm: Floats
     along: NDArray[np.bool_]
+    wheel_s_mm: Floats
+    wheel_u_mm: Floats
 
     @property
     def left_mm(self) -> float:
@@ -122,7 +125,7 @@ def grind(
     along = (s >= at_s.min()) & (s <= at_s.max())
     if not along.any():
         raise InputError("the path runs past no part of the bead; are both in the same frame?")
-    return GroundBead(s, u, before, after, along)
+    return GroundBead(s, u, before, after, along, at_s, at_u)
 
 
 def resampled(points_mm: ArrayLike, values: ArrayLike) -> tuple[Floats, Floats]:

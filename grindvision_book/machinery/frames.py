@@ -22,6 +22,8 @@ AXIS_COLOURS = ("#D55E00", "#009E73", "#0072B2")
 _METAL = "#c3c9cf"
 _JOINT = "#7d858d"
 _SCANNER = "#4d5358"
+_BRACKET = "#8c8c8c"
+_PART = "#d8cdb8"
 
 
 def draw_arm(plotter: pyvista.Plotter, arm: MdhArm, q_rad: ArrayLike, thickness_mm: float = 26.0) -> Floats:
@@ -70,6 +72,29 @@ def draw_scanner(
     for i in range(1, 5):
         plotter.add_mesh(pv.Line(points[0], points[i]), color=colour, line_width=1.5, opacity=0.7)
         plotter.add_mesh(pv.Line(points[i], points[i % 4 + 1]), color=colour, line_width=3)
+
+
+def draw_bracket(plotter: pyvista.Plotter, T_base_joint: ArrayLike, T_base_scanner: ArrayLike) -> None:
+    """Draw what carries a scanner on a joint, a straight bar: sketched, as no paper gives its shape."""
+    import pyvista as pv
+
+    ends = np.asarray(T_base_joint, dtype=float)[:3, 3], move_points(T_base_scanner, [0.0, 0.0, -25.0])
+    plotter.add_mesh(pv.Line(*ends).tube(radius=13, n_sides=24), color=_BRACKET, smooth_shading=True)
+
+
+def draw_part(
+    plotter: pyvista.Plotter,
+    surface_mm: ArrayLike,
+    outwards: ArrayLike,
+    size_mm: tuple[float, float] = (190.0, 130.0),
+    thickness_mm: float = 25.0,
+) -> None:
+    """Draw a plate as a workpiece, sketched: a point (3,) of its surface, and the normal (3,) that leaves it there."""
+    import pyvista as pv
+
+    normal = np.asarray(outwards, dtype=float) / np.linalg.norm(outwards)
+    top = pv.Plane(center=surface_mm, direction=normal, i_size=size_mm[0], j_size=size_mm[1])
+    plotter.add_mesh(top.extrude(-thickness_mm * normal, capping=True), color=_PART, opacity=0.35)
 
 
 def draw_tracker(plotter: pyvista.Plotter, T_base_tracker: ArrayLike) -> None:

@@ -1,4 +1,4 @@
-"""One parameter to move: a slider over a picture in a live notebook, and over finished pictures on a page.
+"""One parameter to move: a slider over finished pictures, in a live notebook and on a page.
 
 Files hold a strip of a few pictures side by side.
 """
@@ -35,9 +35,9 @@ def slider(
 ) -> None:
     """Let a reader move one parameter and see what becomes of a picture.
 
-    Where somebody sits before the notebook, a slider redraws one picture. Where nobody does (book, tests, HTML), the
-    pictures of a few values stand side by side and are saved like any other figure, and the executed notebook gets the
-    pictures of all values under a slider of the page, which needs no kernel.
+    All pictures are drawn at once, to one scale. Where somebody sits before the notebook, a slider chooses one. Where
+    nobody does (book, tests, HTML), the pictures of a few values stand side by side and are saved like any other
+    figure, and the executed notebook gets the pictures of all values under a slider of the page, which needs no kernel.
 
     Args:
         draw: draws the picture of one value into the axes, and returns what it draws, units in the column names.
@@ -55,7 +55,7 @@ def slider(
     if not set(strip) <= set(values):
         raise InputError(f"{name}: the strip shows {sorted(set(strip) - set(values))}, which are no slider positions")
     if is_live():
-        _show_slider(draw, values, label)
+        _show_slider(draw, values, label, caption)
     else:
         _save_strip(draw, strip or [values[k * (len(values) - 1) // 3] for k in range(4)], name, label, caption)
         if shell := shown_in():
@@ -64,28 +64,40 @@ def slider(
 
 def frames_html(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], label: str, caption: str) -> str:
     """HTML with the pictures of all values, of one scale, and a slider that chooses one; arguments as in ``slider``."""
+    middle, frames = len(values) // 2, []
+    about = html.escape(caption, quote=True)
+    pictures = _pictures(draw, values, format="webp", dpi=90, pil_kwargs={"quality": 70})
+    for at, (value, picture) in enumerate(zip(values, pictures, strict=True)):
+        told = html.escape(_told(label, value), quote=True)
+        source = f"data:image/webp;base64,{base64.b64encode(picture).decode()}"
+        hidden = "" if at == middle else " hidden"
+        frames.append(f"<span data-value='{told}'{hidden}><img src='{source}' alt='{told}: {about}'/></span>")
+    knob = f"<input type='range' min='0' max='{len(values) - 1}' value='{middle}' aria-label='{html.escape(label)}'/>"
+    chosen = f"<label>{knob} <output>{html.escape(_told(label, values[middle]))}</output></label>"
+    return f"<figure class='frames'>{chosen}{''.join(frames)}<figcaption>{html.escape(caption)}</figcaption></figure>"
+
+
+def _told(label: str, value: float) -> str:
+    quantity, _, unit = label.partition(", ")
+    return f"{quantity} {value:g} {unit}".rstrip()
+
+
+def _pictures(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], **how: object) -> list[bytes]:
+    """The pictures of all values, of one scale; ``how`` they are saved as Matplotlib's ``savefig`` takes it."""
     import matplotlib.pyplot as plt
 
-    figures = []
+    figures, pictures = [], []
     for value in values:
         fig, axes = plt.subplots(figsize=SLIDER_PICTURE)
         draw(axes, value)
         figures.append(fig)
     _same_scale(figures)
-    quantity, _, unit = label.partition(", ")
-    middle, frames = len(values) // 2, []
-    for at, (value, fig) in enumerate(zip(values, figures, strict=True)):
+    for fig in figures:
         picture = io.BytesIO()
-        fig.savefig(picture, format="webp", dpi=90, pil_kwargs={"quality": 70})
+        fig.savefig(picture, **how)
         plt.close(fig)
-        told = html.escape(f"{quantity} {value:g} {unit}".rstrip(), quote=True)
-        source = f"data:image/webp;base64,{base64.b64encode(picture.getvalue()).decode()}"
-        hidden = "" if at == middle else " hidden"
-        about = html.escape(caption, quote=True)
-        frames.append(f"<span data-value='{told}'{hidden}><img src='{source}' alt='{told}: {about}'/></span>")
-    knob = f"<input type='range' min='0' max='{len(values) - 1}' value='{middle}' aria-label='{html.escape(label)}'/>"
-    shown = html.escape(f"{quantity} {values[middle]:g} {unit}".rstrip())
-    return f"<div class='frames'><label>{knob} <output>{shown}</output></label>{''.join(frames)}</div>"
+        pictures.append(picture.getvalue())
+    return pictures
 
 
 def _same_scale(figures: Sequence[Figure]) -> None:
@@ -105,18 +117,20 @@ def is_live() -> bool:
     return shell is not None and ("JPY_SESSION_NAME" in os.environ or "__vsc_ipynb_file__" in shell.user_ns)
 
 
-def _show_slider(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], label: str) -> None:
+def _show_slider(
+    draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], label: str, caption: str
+) -> None:
     import ipywidgets
-    import matplotlib.pyplot as plt
+    from IPython import display
+
+    pictures = dict(zip(values, _pictures(draw, values, format="png", dpi=90), strict=True))
 
     def show(value: float) -> None:
-        _, axes = plt.subplots(figsize=SLIDER_PICTURE)
-        draw(axes, value)
-        plt.show()
+        display.display(display.Image(pictures[value], alt=_told(label, value)), display.Markdown(f"*{caption}*"))
 
     choices = [(f"{value:g}", value) for value in values]
     knob = ipywidgets.SelectionSlider(
-        options=choices, value=values[len(values) // 2], description=label, continuous_update=False,
+        options=choices, value=values[len(values) // 2], description=label,
         style={"description_width": "initial"}, layout={"width": "30em"},
     )  # fmt: skip
     ipywidgets.interact(show, value=knob)
@@ -134,7 +148,7 @@ def _save_strip(
     drawn = []
     for axes, value in zip(panels, values, strict=True):
         data = draw(axes, value)
-        axes.set_title(f"{quantity} {value:g} {unit}".rstrip(), fontsize=9)
+        axes.set_title(_told(label, value), fontsize=9)
         axes.label_outer()
         data.insert(0, f"{quantity}_{unit}".strip("_").replace(" ", "_"), value)
         drawn.append(data)

@@ -149,9 +149,12 @@ def draw_cell(plotter: pyvista.Plotter, most_points: int) -> None:
     T_base_joint4 = T_base_scanner @ geometry.inverse(paper.hand_eye("accurate"))
     q_rad = arms.nearest_angles(nominal, T_base_joint4, np.random.default_rng(SEED), starts=25)[0].q_rad
     joints = frames.draw_arm(plotter, nominal, q_rad)
+    frames.draw_bracket(plotter, joints[4], T_base_scanner)
     frames.draw_scanner(plotter, T_base_scanner)
     facing = geometry.rotate_vectors(T_base_scanner, normals_scanner * [-1, -1, 1])
     frames.draw_path(plotter, points_base, facing, COLOURS["test"], length_mm=70, radius_mm=4)
+    outwards = facing.mean(axis=0) / np.linalg.norm(facing.mean(axis=0))
+    frames.draw_part(plotter, points_base.mean(axis=0) - 6 * outwards, outwards)
     direction = np.array([-0.34, -0.94, 0.33])
     facing_reader = _facing(direction, [0.0, 0.0, 1.0])
     names = ["base", "joint 1", "joint 2", "joint 3", "joint 4", "scanner"]
@@ -198,8 +201,8 @@ SCENES: tuple[Scene | Playback, ...] = (
         "cell",
         "The arm, its frames, and the path",
         "The arm at the joint angles that the print implies, the frames of base, joints and scanner (x vermilion, y "
-        "green, z blue), the scanner's field, and the path of Table 4 with its mended normals. Base frame, mm; printed "
-        "numbers.",
+        "green, z blue), the scanner's field, and the path of Table 4 with its mended normals; bracket and part are "
+        "sketched. Base frame, mm; printed numbers.",
         ("conventions_frames", "table4_scene"),
         draw_cell,
     ),
