@@ -43,13 +43,20 @@ def test_a_strip_that_is_not_chosen_runs_from_end_to_end(folder: Path) -> None:
     assert list(pd.read_csv(folder / "slider_test.csv")["exponent"].unique()) == [1, 3, 5, 7]
 
 
-def test_a_live_notebook_gets_a_slider_and_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_notebook_gets_a_slider_over_pictures_of_one_scale_with_their_caption_and_no_file(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shown: dict[str, Any] = {}
+    displayed: list[Any] = []
     monkeypatch.setattr(sliders, "is_live", lambda: True)
     monkeypatch.setattr("ipywidgets.interact", lambda show, value: shown.update(knob=value, show=show))
+    monkeypatch.setattr("IPython.display.display", lambda *things: displayed.extend(things))
     book.slider(draw, [1, 2, 3], "slider_test", "exponent", "A caption")
     assert [choice for _, choice in shown["knob"].options] == [1, 2, 3] and shown["knob"].value == 2
-    shown["show"](3)
+    for value in (1, 3):
+        shown["show"](value)
+    first, caption, last, _ = displayed
+    assert first.data != last.data and first.data.startswith(b"\x89PNG") and caption.data == "*A caption*"
     assert list(folder.iterdir()) == []
 
 
@@ -78,3 +85,4 @@ def test_the_pictures_of_a_page_share_one_scale_and_the_middle_one_is_shown():
     assert len({axes.get_ylim() for axes in drawn}) == 1
     assert page.count("<img ") == 3 and page.count(" hidden>") == 2
     assert "<output>edge 2 mm</output>" in page and 'A "caption"' not in page
+    assert page.endswith("<figcaption>A &quot;caption&quot;</figcaption></figure>")
