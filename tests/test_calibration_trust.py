@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from benchmarks.coverage import coverage
 from grindvision.arm import MdhArm, forward, write_arm
@@ -70,6 +71,17 @@ def test_a_drift_a_jump_and_a_wrong_scale_are_named_with_their_size(rng):
     assert jump.findings[0].size_mm == pytest.approx(np.sqrt(23 / 60), rel=0.1)
     scaled = calibrate(replace(made.measurements, scanner_mm=1.01 * made.measurements.scanner_mm), er3a())
     assert scaled.findings[0].kind == "scanner scale" and "too long" in scaled.findings[0].sentence
+
+
+def test_the_chance_of_a_drift_is_that_of_the_f_test_times_how_many_structures_were_tried(rng):
+    made = rig(er3a(), rng, rows=30)
+    drift = np.outer(np.linspace(0, 1, 30), [0.0, 0.6, 0.0])
+    result = calibrate(replace(made.measurements, tracker_mm=made.measurements.tracker_mm + drift), er3a())
+    found = next(finding for finding in result.findings if finding.kind == "drift")
+    spare = 3 * 30 - 6  # each unknown has a prior, an equation of its own
+    ratio = (found.explained / 6) / ((1 - found.explained) / spare)
+    tried = found.p_value / stats.f.sf(ratio, 6, spare)
+    assert 10 < tried < 500 and tried == pytest.approx(round(tried), rel=1e-9)
 
 
 def wavy(rng, rows=80):
