@@ -14,6 +14,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from jupyter_client.asynchronous.client import AsyncKernelClient
 from matplotlib.figure import Figure
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
@@ -287,6 +288,18 @@ def test_a_failing_chapter_is_named_while_the_others_run(tmp_path):
     assert before == {path: path.read_bytes() for path in (tmp_path / "notebooks").iterdir()}
     executed = nbformat.read(tmp_path / "build" / "executed" / "01_good.ipynb", as_version=4)
     assert any(cell.get("outputs") for cell in executed.cells)
+
+
+def test_a_kernel_that_does_not_start_fails_its_chapter(tmp_path, monkeypatch):
+    async def mute(client, timeout):
+        raise RuntimeError(f"Kernel didn't respond in {timeout} seconds")
+
+    monkeypatch.setattr(AsyncKernelClient, "wait_for_ready", mute)
+    notebook(tmp_path / "notebooks" / "01_good.ipynb", "pass")
+    outcomes = rebuild(
+        notebooks=tmp_path / "notebooks", build=tmp_path / "build", figures=tmp_path / "figures", fast=True
+    )
+    assert outcomes[0].failure == "its kernel did not start (Kernel didn't respond in 900 seconds)"
 
 
 def test_studies_of_chapters_that_share_the_cores_share_their_workers():

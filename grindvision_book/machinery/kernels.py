@@ -17,6 +17,8 @@ from grindvision_book.machinery.event_loop import is_ending
 
 #: A cell that takes longer than this has hung.
 CELL_TIMEOUT_S = 3600
+#: A kernel on a loaded machine takes a minute and more to answer.
+START_TIMEOUT_S = 900
 NO_MESSAGE = "no message"
 
 _LOADED = """
@@ -57,6 +59,7 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
     client = NotebookClient(
         notebook,
         timeout=CELL_TIMEOUT_S,
+        startup_timeout=START_TIMEOUT_S,
         kernel_name="python3",
         extra_arguments=["--log-level=ERROR"],
         on_cell_start=lambda cell, cell_index: begun.append(cell_index + 1),
@@ -79,6 +82,10 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
             last = _last_line(said.read().decode(errors="replace"))
             words = "" if last == NO_MESSAGE else f"; its last words: {last}"
             failure = f"cell {begun[-1]} ended its kernel (out of memory, or a crash in a library{words})"
+        except RuntimeError as error:
+            if begun != [0]:
+                raise
+            failure = f"its kernel did not start ({_first_line(str(error))})"
     notebook.cells.remove(asked)
     with write_whole(copy) as path:
         nbformat.write(notebook, path)
