@@ -1,7 +1,9 @@
+import ast
 import dataclasses
 import doctest
 import importlib
 import inspect
+import json
 import re
 import subprocess
 import sys
@@ -171,3 +173,47 @@ def test_no_draw_has_a_seed_of_its_own():
         if fixed.search(line) and ">>>" not in line
     }
     assert found <= {"cli/compile.py"}
+
+
+ROOMS = {room: importlib.import_module(f"grindvision.{room}") for room in FACES if room}
+
+
+def long_ways(code):
+    """What code fetches from a module of a room although the room's face, or the front door, has it."""
+    tree, rooms = ast.parse(code), {}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("grindvision"):
+            continue
+        room = node.module.split(".")[1] if "." in node.module else ""
+        for name in (one.name for one in node.names):
+            if node.module == "grindvision" and name in ROOMS:
+                rooms[next(one.asname or one.name for one in node.names if one.name == name)] = ROOMS[name]
+            elif room and name in grindvision.__all__:
+                yield f"from {node.module} import {name}: from grindvision"
+            elif room and node.module.count(".") > 1 and room in ROOMS and name in ROOMS[room].__all__:
+                yield f"from {node.module} import {name}: from grindvision.{room}"
+    front = {id(getattr(grindvision, name)): name for name in grindvision.__all__}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in rooms:
+            found = front.get(id(getattr(rooms[node.value.id], node.attr, None)))
+            if found:
+                yield f"{node.value.id}.{node.attr}: {found} of grindvision"
+
+
+NOTEBOOKS = sorted(path for folder in ("notebooks", "notebooks/solutions") for path in Path(folder).glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_uses_the_front_door_where_it_has_the_name(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = "".join("".join(cell["source"]) + "\n" for cell in cells if cell["cell_type"] == "code")
+    assert list(long_ways(re.sub(r"^\s*[%!].*$", "", code, flags=re.MULTILINE))) == []
+
+
+def test_a_way_through_a_rooms_module_is_told():
+    code = (
+        "from grindvision.vision.change.detection import detect\nfrom grindvision.vision.seam.seams import find_seams"
+    )
+    assert [way.split(": ")[1] for way in long_ways(code)] == ["from grindvision", "from grindvision.vision"]
+    assert len(list(long_ways("from grindvision import calibration\ncalibration.Options()"))) == 1
+    assert list(long_ways("from grindvision import detect\nfrom grindvision.vision.seam.gfh import vote")) == []
