@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from grindvision.calibration.hand_eye import HandEyeOptions, free_directions, hand_eye
+from grindvision.calibration.hand_eye import HandEyeOptions, hand_eye
+from grindvision.calibration.hand_eye_advice import further_poses, knowledge, poorly_known
 from grindvision.calibration.hand_eye_checks import (
     outliers,
     refuse_better_reading,
@@ -108,14 +109,45 @@ def test_motions_about_one_axis_are_refused_with_the_axis():
         hand_eye(still, np.zeros((6, 3)))
 
 
-def test_a_target_in_one_place_of_the_view_leaves_the_rotation_open_and_says_so():
-    rng = np.random.default_rng(5)
-    poses = looking_poses(rng, 9)
-    poses = np.array(
-        [rigid(pose[:3, :3], TARGET - pose[:3, :3] @ (X[:3, :3] @ [0, 0, 400] + X[:3, 3])) for pose in poses]
-    )
-    found = hand_eye(poses, seen_points(poses, rng, arm_mm=0.5))
-    assert any("rotation about" in text for text in free_directions(found))
+def one_place(rng, n, turn_deg, arm_mm=0.5):
+    """Poses that see a sphere in one place of the view, and its centres."""
+    poses = looking_poses(rng, n, turn_deg)
+    middle = X[:3, :3] @ [0, 0, 400] + X[:3, 3]
+    poses = np.array([rigid(pose[:3, :3], TARGET - pose[:3, :3] @ middle) for pose in poses])
+    return poses, seen_points(poses, rng, arm_mm)
+
+
+def test_a_target_in_one_place_of_the_view_leaves_the_camera_open_and_says_so():
+    poses, points = one_place(np.random.default_rng(5), 9, 25.0)
+    found = hand_eye(poses, points)
+    known = knowledge(found, points)
+    assert not known.useful and known.rotation_deg > 0.5
+    told = poorly_known(found, poses, points)
+    assert f"its rotation to {known.rotation_deg:.2g} deg" in told
+    assert "in its corners" in told and "would leave" in told
+
+
+def test_poses_that_are_advised_bring_the_camera_to_what_is_said():
+    gained = []
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 31])
+        poses, points = one_place(rng, 9, 25.0)
+        found = hand_eye(poses, points)
+        names, then = further_poses(found, poses, points)
+        assert "in its corners" in names[0]
+        straight = poses[:, :3, :3].mean(axis=0)
+        turn = Rotation.from_matrix(straight).as_matrix()
+        aside = np.array([[100.0, 100, 400], [100, -100, 400], [-100, 100, 400], [-100, -100, 400]])
+        more = np.array([rigid(turn, TARGET - turn @ (X[:3, :3] @ place + X[:3, 3])) for place in aside])
+        better = hand_eye(np.vstack([poses, more]), np.vstack([points, seen_points(more, rng, 0.5)]))
+        gained.append(knowledge(better, np.vstack([points, aside])).rotation_deg / then.rotation_deg)
+        assert then.excess < 0.7 * knowledge(found, points).excess
+    assert 0.5 < np.median(gained) < 2.0
+
+
+def test_a_camera_that_is_well_known_is_left_without_a_word():
+    poses, points = scene(3, 12, arm_mm=0.1)
+    assert poorly_known(hand_eye(poses, points), poses, points) == ""
 
 
 @pytest.mark.parametrize("maker", MAKERS)
@@ -213,7 +245,7 @@ def test_the_command_writes_its_set_and_refuses_without_writing(tmp_path, capsys
     target, out = ["--target", "sphere:38.1"], ["-o", str(tmp_path / "camera")]
     refused = {
         "every cloud needs its pose": [*words[:-1], *target, "--rotation", "fanuc"],
-        "one cloud twice": [*words[:-1], words[1], *target, "--rotation", "fanuc"],
+        "one cloud or row twice": [*words[:-1], words[1], *target, "--rotation", "fanuc"],
         "--rotation is missing.* --rotation xyz --angles deg": [*words, *target],
         "say sphere:DIAMETER_MM": [*words, "--target", "sphere", "--rotation", "fanuc"],
         "is unknown": [*words, *target, "--rotation", "robot"],

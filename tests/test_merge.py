@@ -92,7 +92,7 @@ def test_what_cannot_be_merged_is_refused_in_one_line(tmp_path, capsys):
     np.savetxt(tmp_path / "metres.txt", np.loadtxt(tmp_path / "poses.txt") * [1e-3, 1e-3, 1e-3, 1, 1, 1])
     refused = {
         "4 poses and 3 clouds": [words[0], *words[1:4], *words[5:]],
-        "one cloud twice": [words[0], words[1], *words[1:4], *words[5:]],
+        "one cloud or row twice": [words[0], words[1], *words[1:4], *words[5:]],
         "metres": [str(tmp_path / "metres.txt"), *words[1:]],
         "one of `calibrate`": [*words[:-1], str(tmp_path / "other.json")],
         "say --rotation too": [*words, "--angles", "deg"],

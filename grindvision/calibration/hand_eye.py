@@ -34,6 +34,9 @@ MIN_SECOND_AXIS_DEG = 2.0
 #: From so many poses on a wrong one can be told from the rest, and loses its weight.
 ROBUST_FROM = 6
 
+#: A pose of less weight does not fit the others.
+LOST_WEIGHT = 0.1
+
 
 @by_content
 @dataclass(frozen=True)
@@ -79,6 +82,11 @@ class HandEye:
         return float(np.sqrt((self.residuals_mm**2).sum(axis=1).mean()))
 
     @property
+    def fitting(self) -> NDArray[np.bool_]:
+        """Marks (N,) of the poses that fit the others."""
+        return self.weights >= LOST_WEIGHT
+
+    @property
     def sigma_mm(self) -> Floats:
         """Standard deviation (3,) of the camera's place along the axes of the parent frame."""
         return np.sqrt(np.diag(self.covariance)[:3])
@@ -89,10 +97,14 @@ class HandEye:
         return np.degrees(np.sqrt(np.diag(self.covariance)[3:]))
 
     def __str__(self) -> str:
-        n = len(self.residuals_mm)
+        n, fit = len(self.residuals_mm), self.fitting
+        poses = f"{n} poses" if fit.all() else f"{fit.sum()} of {n} poses (the others do not fit)"
+        size, left_out = (
+            np.sqrt(np.mean(one[fit] ** 2)) for one in (np.linalg.norm(self.residuals_mm, axis=1), self.left_out_mm)
+        )
         return (
-            f"hand-eye from {n} poses: the target's places meet within {self.rms_mm:.2f} mm rms, left out"
-            f" {np.sqrt(np.mean(self.left_out_mm**2)):.2f} mm; camera known to +- {self.sigma_mm.max():.2f} mm,"
+            f"hand-eye from {poses}: the target's places meet within {size:.2f} mm rms, left out"
+            f" {left_out:.2f} mm; camera known to +- {self.sigma_mm.max():.2f} mm,"
             f" +- {self.sigma_deg.max():.3f} deg"
         )
 
@@ -179,13 +191,13 @@ def refuse_motions(rms_rad: Floats, axes: Floats, mounted: str) -> None:
     first, second = np.degrees(rms_rad[:2])
     if first < MIN_SECOND_AXIS_DEG:
         raise DegenerateError(
-            f"the poses hardly turn ({first:.2g} deg rms about their mean): the camera's translation is free in every"
+            f"the poses hardly turn ({first:.2f} deg rms about their mean): the camera's translation is free in every"
             " direction; add poses that turn by 20 deg and more about two axes"
         )
     if second < MIN_SECOND_AXIS_DEG:
         axis = ", ".join(f"{value:.2f}" for value in axes[0])
         raise DegenerateError(
-            f"all motions turn about one axis, ({axis}) in the {frame} frame, within {second:.2g} deg: the camera's"
+            f"all motions turn about one axis, ({axis}) in the {frame} frame, within {second:.2f} deg: the camera's"
             " translation along it is free; add poses that turn by 20 deg and more about another axis"
         )
 
@@ -198,22 +210,6 @@ def rotation_rms_of(carrier: Floats) -> Floats | None:
     except DegenerateError:
         return None
     return spread
-
-
-def free_directions(found: HandEye, max_mm: float = 5.0, max_deg: float = 1.0) -> list[str]:
-    """In words, along and about which directions the camera's place is known worse than so much (one sigma)."""
-    told = []
-    frame = "flange" if found.mounted == "on-arm" else "base"
-    for name, part, most, scale, unit in (
-        ("translation along", slice(0, 3), max_mm, 1.0, "mm"),
-        ("rotation about", slice(3, 6), max_deg, 180 / np.pi, "deg"),
-    ):
-        values, vectors = np.linalg.eigh(found.covariance[part, part])
-        for value, vector in zip(np.sqrt(np.maximum(values, 0)) * scale, vectors.T, strict=True):
-            if not value <= most:
-                axis = ", ".join(f"{number:.2f}" for number in vector)
-                told.append(f"the camera's {name} ({axis}) of the {frame} is known to +- {value:.2g} {unit} only")
-    return told
 
 
 def _checked(T_base_flange: ArrayLike, target_camera: ArrayLike, mounted: str) -> tuple[Floats, Floats]:

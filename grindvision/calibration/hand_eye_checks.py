@@ -33,7 +33,7 @@ MAX_SWAPPED = 14
 
 
 def check_repeated(points: Sequence[ArrayLike], names: Sequence[str]) -> None:
-    """Refuse clouds that are the same measurement.
+    """Refuse clouds, or rows of a table, that are the same measurement.
 
     Raises:
         InputError: two have the same points.
@@ -41,8 +41,8 @@ def check_repeated(points: Sequence[ArrayLike], names: Sequence[str]) -> None:
     for (a, first), (b, second) in combinations(zip(names, points, strict=True), 2):
         if np.shape(first) == np.shape(second) and np.array_equal(first, second):
             raise InputError(
-                f"{b} has the same points as {a}: one cloud twice; every pose needs a cloud of its own (leave one of"
-                " the two and its pose out)"
+                f"{b} has the same numbers as {a}: one cloud or row twice; every pose needs a measurement of its own"
+                " (leave one of the two and its pose out)"
             )
 
 
@@ -81,7 +81,12 @@ def rotations_between(poses: Floats) -> Floats:
 
 
 def refuse_better_reading(
-    rows: Floats, stated: PoseConvention, target: Floats, mounted: str, names: Sequence[str]
+    rows: Floats,
+    stated: PoseConvention,
+    target: Floats,
+    mounted: str,
+    names: Sequence[str],
+    target_readings: Sequence[tuple[str, Floats]] = (),
 ) -> None:
     """Refuse data that fit badly as stated where another common reading of them fits much better, and name it.
 
@@ -91,24 +96,52 @@ def refuse_better_reading(
         target: points (N, 3) or poses (N, 4, 4) of the target, camera frame.
         mounted: see ``HandEyeOptions``.
         names: of the clouds, in order.
+        target_readings: other readings of a table of the target's poses, each in words and as poses (N, 4, 4).
 
     Raises:
-        InputError: names the other convention, or the order of the clouds.
+        InputError: names the other convention, the order of the clouds, or views that rest with the camera.
     """
-    carrier = carriers(poses_from(rows, stated), mounted)
+    poses = poses_from(rows, stated)
+    carrier = carriers(poses, mounted)
     left = quick_rms_mm(carrier, target)
     if left <= GOOD_MM:
         return
-    ranked = rank_conventions(rows, target, mounted, other_conventions(stated, rows))
-    if ranked and ranked[0][0] * MUCH_BETTER < left and len(target) > 4:
-        best, other = ranked[0]
-        hint = " or is --mounted the other one?" if other.inverted != stated.inverted else ""
+    best, text = _better_reading(rows, stated, target, mounted, target_readings)
+    if best > IMPLAUSIBLE_MM:
+        refuse_still_views(poses, target)
+    elif best * MUCH_BETTER < left and len(target) > (4 if target.ndim == 2 else 2):
         raise InputError(
-            f"with the stated {stated} the target's places differ by {left:.3g} mm rms, with {other}{makers_of(other)}"
-            f" by {best:.2g} mm: {left / max(best, 1e-9):.0f} times less; is that what the controller shows?{hint}"
+            f"with the stated {stated} the target's places differ by {left:.3g} mm rms, with"
+            f" {text.format(size=f'{best:.2g} mm: {left / max(best, 1e-9):.0f} times less')}"
         )
-    if (text := _better_order(carrier, target, left, names)) and len(target) > 5:
-        raise InputError(text)
+    if rotation_rms_of(carrier) is None:
+        return
+    if len(target) > 5 and (order := _better_order(carrier, target, left, names)):
+        raise InputError(order)
+
+
+def _better_reading(
+    rows: Floats,
+    stated: PoseConvention,
+    target: Floats,
+    mounted: str,
+    target_readings: Sequence[tuple[str, Floats]],
+) -> tuple[float, str]:
+    """What the best other reading leaves (mm rms; infinite where there is none), and it in words, with a gap for it."""
+    best, text = np.inf, ""
+    ranked = rank_conventions(rows, target, mounted, other_conventions(stated, rows))
+    if ranked:
+        best, other = ranked[0]
+        text = f"{other}{makers_of(other)} by {{size}}; is that what the controller shows?"
+        if other.inverted != stated.inverted:
+            text += " Or is --mounted the other one?"
+            text += " Or are the target's poses T_target_camera?" if target_readings else ""
+    carrier = carriers(poses_from(rows, stated), mounted)
+    if rotation_rms_of(carrier) is not None:
+        for words, seen in target_readings:
+            if (size := quick_rms_mm(carrier, seen)) < 0.9 * best:
+                best, text = size, f"{words} by {{size}}; is that how the target's poses are written?"
+    return best, text
 
 
 def rank_conventions(
@@ -126,8 +159,8 @@ def rank_conventions(
     return sorted(found, key=lambda item: (round(item[0], 6), str(item[1])))
 
 
-def refuse_implausible(found: HandEye) -> None:
-    """Refuse a fit that leaves more than any arm's error.
+def refuse_implausible(found: HandEye, told: Sequence[str] = ()) -> None:
+    """Refuse a fit that leaves more than any arm's error; ``told`` is what else is known of the data.
 
     Raises:
         InputError: with the size, and what may be wrong.
@@ -135,12 +168,12 @@ def refuse_implausible(found: HandEye) -> None:
     size = float(np.sqrt(np.average((found.residuals_mm**2).sum(axis=1), weights=found.weights + 1e-12)))
     weights = found.weights + 1e-12
     turn = float(np.degrees(np.sqrt(np.average((found.residuals_rad**2).sum(axis=1), weights=weights))))
-    if size > IMPLAUSIBLE_MM or turn > IMPLAUSIBLE_DEG or (found.weights < 0.1).mean() > 0.25:
+    if size > IMPLAUSIBLE_MM or turn > IMPLAUSIBLE_DEG or found.fitting.mean() < 0.75:
         turned = f" and {turn:.2g} deg" if np.isfinite(turn) else ""
         raise InputError(
             f"poses and clouds do not belong together: the target's places differ by {found.rms_mm:.3g} mm{turned} rms,"
-            " and no common convention or order of the rows fits better; did the target rest, was the arm still, is the"
-            " pose that of the flange (or of one tool) throughout?"
+            " and no common convention or order of the rows fits; did the target rest, was the arm still, is the"
+            f" pose that of the flange (or of one tool) throughout?{''.join(f' Note: {text}' for text in told)}"
         )
 
 
@@ -149,7 +182,7 @@ def outliers(found: HandEye, names: Sequence[str]) -> list[str]:
     return [
         f"pose {row + 1} ({names[row]}) does not fit the others: it puts the target {found.left_out_mm[row]:.1f} mm off"
         " and has almost no weight; wrong row, moved target, arm not at rest?"
-        for row in np.flatnonzero(found.weights < 0.1).tolist()
+        for row in np.flatnonzero(~found.fitting).tolist()
     ]
 
 
@@ -170,7 +203,7 @@ def _better_order(carrier: Floats, target: Floats, left: float, names: Sequence[
         size = quick_rms_mm(carrier, target[order])
         if size < best:
             best, word = size, text
-    if best * MUCH_BETTER > left:
+    if best * MUCH_BETTER > left or best > IMPLAUSIBLE_MM:
         return ""
     return (
         f"the target's places differ by {left:.3g} mm rms, by {best:.2g} mm {word}; mend the order of poses and clouds"

@@ -94,6 +94,15 @@ def residuals(carrier: Floats, target: Floats, X: Floats, Y: Floats) -> tuple[Fl
     return seen[:, :3, 3] - Y[:3, 3], turn
 
 
+def weighted_jacobian(
+    carrier: Floats, target: Floats, X: Floats, Y: Floats, weights: Floats, options: FitOptions
+) -> Floats:
+    """Derivatives (K, 9) of points' residuals, (K, 12) of poses', by X and Y as ``fit`` weights them."""
+    _, J = _whitened(carrier, target, X, *_linearised(carrier, target, X, Y), options)
+    columns = 9 if target.ndim == 2 else 12
+    return (np.sqrt(weights)[:, None, None] * J)[..., :columns].reshape(-1, columns)
+
+
 def left_out_mm(carrier: Floats, target: Floats, found: HandEyeFit, row: int, on_arm: bool) -> float:
     """How far off (mm) a pose puts the target by the place of camera and target that the others give."""
     keep = np.maximum(found.weights, 1e-9)

@@ -31,7 +31,7 @@ def pair_motions(carrier: Floats, target: Floats) -> tuple[Floats, Floats]:
     A = inverse(carrier[second]) @ carrier[first]
     B = target[second] @ inverse(target[first])
     turns = Rotation.from_matrix(A[:, :3, :3]).magnitude()
-    chosen = turns > min(MIN_ROTATION_RAD, float(np.median(turns)))
+    chosen = turns >= min(MIN_ROTATION_RAD, float(np.median(turns)))
     return A[chosen], B[chosen]
 
 

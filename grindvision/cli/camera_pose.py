@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.parameters import number
-from grindvision.errors import FileError, InputError, UnitError
+from grindvision.errors import FileError, GrindvisionWarning, InputError, UnitError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 #: A flange that is nearer to the robot's base in every pose than this (mm) is given in metres.
 NEAREST_FLANGE_MM = 20.0
+
+#: Key of hand_eye.json that says, in words, what of the camera is known too poorly.
+DOUBT = "poorly_known"
 
 
 @by_content
@@ -98,7 +102,7 @@ def camera_content(T_parent_camera: np.ndarray, mounted: str, stated: PoseConven
 
 
 def read_camera(path: str | Path) -> Camera:
-    """The camera of a hand_eye.json.
+    """The camera of a hand_eye.json; what it says of the camera's being poorly known is a warning.
 
     Raises:
         FileError: missing, no JSON, no such keys; of another tool. NotRigidError: no rigid transform.
@@ -121,6 +125,8 @@ def read_camera(path: str | Path) -> Camera:
         convention = None if stated is None else PoseConvention(**stated)
     except TypeError:
         raise FileError(f"{path}: pose_convention is damaged; run `grindvision hand-eye` again") from None
+    if known.get(DOUBT):
+        warnings.warn(f"{path}: {known[DOUBT]}", GrindvisionWarning, stacklevel=2)
     return Camera(pose, "on-arm" if key == "T_flange_camera" else "fixed", convention)
 
 

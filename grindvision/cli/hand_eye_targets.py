@@ -14,6 +14,8 @@ from grindvision.records import by_content
 if TYPE_CHECKING:
     import numpy as np
 
+    from grindvision.calibration.pose_conventions import PoseConvention
+
 #: Kinds of ``--target`` that have sizes, and how many.
 KINDS = {"sphere": 1, "spheres": 1, "board": 2}
 
@@ -27,12 +29,14 @@ ALL_PAIRS, NEAREST = 12, 6
 @by_content
 @dataclass(frozen=True)
 class TargetSeen:
-    """The target in the camera's frame, points (M, 3) or poses (M, 4, 4), at the poses ``rows`` (M,) that show it."""
+    """The target in the camera's frame, points (M, 3) or poses (M, 4, 4), at the poses ``rows`` (M,) that show it;
+    ``readings`` are other ways to read a table of its poses, in words and as poses."""
 
     target: np.ndarray
     rows: np.ndarray
     results: dict[str, Any] = field(default_factory=dict)
     told: str = ""
+    readings: tuple[tuple[str, np.ndarray], ...] = ()
 
 
 def read_target(text: str) -> tuple[str, tuple[float, ...]]:
@@ -82,18 +86,37 @@ def given_poses(path: str, rotation: str | None, angles: str | None, unit: str |
     """Poses T_camera_target (N, 4, 4) that another tool measured, from a table like that of the controller's poses.
 
     Raises:
-        InputError: no file or no ``rotation``; other than ``count`` rows. FileError: see ``read_pose_rows``.
+        InputError: no ``rotation``; other than ``count`` rows; a row twice. FileError: see ``read_pose_rows``.
     """
     import numpy as np
 
-    from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
+    from grindvision.calibration.hand_eye_checks import check_repeated
+    from grindvision.calibration.pose_conventions import convention, other_conventions, poses_from, read_pose_rows
 
     if rotation is None:
         raise InputError("--target poses: say --target-rotation, how the rotation in the second table is written")
     rows = read_pose_rows(path)
     if len(rows) != count:
         raise InputError(f"{count} poses of the controller and {len(rows)} of the target; a row each, in their order")
-    return TargetSeen(poses_from(rows, convention(rotation, angles, unit or "mm"), path), np.arange(count))
+    check_repeated(list(rows), [f"row {row + 1} of {path}" for row in range(count)])
+    stated = convention(rotation, angles, unit or "mm")
+    readings = tuple(
+        (_target_words(other), poses_from(rows, other))
+        for other in other_conventions(stated, rows)
+        if not (other.rotation_first or other.inverted)
+    )
+    return TargetSeen(poses_from(rows, stated, path), np.arange(count), readings=readings)
+
+
+def _target_words(reading: PoseConvention) -> str:
+    words = str(reading)
+    for option, of_target in (
+        ("rotation", "target-rotation"),
+        ("angles", "target-angles"),
+        ("pose-unit", "target-unit"),
+    ):
+        words = words.replace(f"--{option} ", f"--{of_target} ")
+    return words
 
 
 def _sphere(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str], seed: int) -> TargetSeen:
