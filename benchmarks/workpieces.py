@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from grindvision.cell.workpiece_scene import CHANGES, WorkpieceScene, workpiece_scene
 from grindvision.cell.workpieces import WORKPIECES
 from grindvision.errors import GrindvisionError
+from grindvision.models import Model
 from grindvision.vision.change.detection import DetectOptions, detect
 
 Floats = NDArray[np.float64]
@@ -42,13 +43,14 @@ def scene_of(pair: int, seed: int = 0, kinds: tuple[str, ...] = tuple(WORKPIECES
     return workpiece_scene(kind, np.random.default_rng([seed, pair]), change)
 
 
-def judged(scene: WorkpieceScene, options: DetectOptions) -> dict[str, Any]:
-    """What ``detect`` makes of a pair, and the verdict."""
+def judged(scene: WorkpieceScene, options: DetectOptions, model: bool = False) -> dict[str, Any]:
+    """What ``detect`` makes of a pair, or of the test scan and the good part's ``model``, and the verdict."""
+    sample = Model(scene.good.vertices_mm, scene.good.triangles) if model else scene.sample.points
     started = time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            found = detect(scene.sample.points, scene.test.points, options)
+            found = detect(sample, scene.test.points, options)
         except GrindvisionError as error:
             seconds = time.process_time() - started
             return {"outcome": "refused", "seconds": seconds, "said": str(error)}
@@ -138,6 +140,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--pairs", type=int, default=24, help="how many (default: 24)")
     parser.add_argument("--first", type=int, default=0, help="number of the first pair (default: 0)")
     parser.add_argument("--seed", type=int, default=0, help="of the scenes (default: 0)")
+    parser.add_argument("--model", action="store_true", help="the good part's model takes the place of its scan")
     parser.add_argument("--kinds", nargs="+", choices=tuple(WORKPIECES), default=tuple(WORKPIECES))
     parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=())
     parser.add_argument("--csv", type=Path, help="a row a pair into this file")
@@ -147,7 +150,7 @@ def main(words: list[str] | None = None) -> int:
     for pair in range(options.first, options.first + options.pairs):
         scene = scene_of(pair, options.seed, tuple(options.kinds))
         row = {"pair": pair, "kind": scene.piece.kind, "change": scene.change, "determined": scene.determined}
-        rows.append(row | judged(scene, DetectOptions(seed=pair)))
+        rows.append(row | judged(scene, DetectOptions(seed=pair), options.model))
         print(*(f"{rows[-1].get(name, ''):.3g}" if isinstance(rows[-1].get(name), float) else rows[-1].get(name, "-")
                 for name in COLUMNS), sep="  ", flush=True)  # fmt: skip
         for name, errors in peers.items():

@@ -11,6 +11,7 @@ from grindvision.geometry import move_points, random_rotation, rigid
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.registration import pose_candidates
 from grindvision.vision.registration.agreement import Agreement
+from grindvision.vision.registration.scan_registration import register
 from grindvision.vision.surface.dominant_plane import plane_fraction
 from grindvision.vision.surface.surfels import build_surfels
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
@@ -42,6 +43,34 @@ def test_a_sparse_mirrored_scan_that_leaves_a_motion_free_is_named_too(seed):
     told = r"mirror image.*\(overlap \d+%.*--mirrored"
     with pytest.raises((InputError, AmbiguousError), match=told):
         detect(sparse.sample, sparse.test * [1, -1, 1])
+
+
+def corner_of_a_box(sizes, seed):
+    """The three faces of a box of such edges that a scanner at the origin sees."""
+    rng = np.random.default_rng(seed)
+    faces = []
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        face = -np.array(sizes) * rng.random((int(4 * np.prod([sizes[k] for k in others])), 3))
+        face[:, axis] = rng.normal(0, 0.02, len(face))
+        faces.append(face)
+    look = rigid(random_rotation(rng)) @ rigid(None, [-230.0, -260.0, -210.0])
+    return move_points(look, np.concatenate(faces))
+
+
+def test_a_corner_that_fits_half_as_it_is_and_wholly_mirrored_is_refused():
+    good, bad = (corner_of_a_box((90, 40, 12), seed) for seed in (1, 2))
+    with pytest.raises(InputError, match="mirror image"):
+        register(bad * [1, -1, 1], good)
+    assert register(bad, good).coarse.mirror is None
+
+
+def test_a_part_that_is_its_own_mirror_image_is_told_with_the_size_of_the_error():
+    good, bad = (corner_of_a_box((60, 60, 30), seed) for seed in (3, 4))
+    with pytest.warns(GrindvisionWarning, match=r"mirror image .* fits as well .* off by up to \d+") as told:
+        found = register(bad, good)
+    assert len(told) == 1
+    assert 20 < found.coarse.mirror.apart_mm < 2 * np.hypot(60, 60)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -23,6 +23,7 @@ from grindvision.vision.registration.global_registration import distinct_poses, 
 from grindvision.vision.registration.icp import icp_generalised, icp_points
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals, solve_definite
 from grindvision.vision.registration.sac_ia import huber, refine_pose, sac_ia_paper
+from grindvision.vision.registration.scan_registration import register
 from grindvision.vision.registration.verification import choose_pose
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 from grindvision.vision.surface.normals import orient_to_viewpoint
@@ -111,6 +112,25 @@ def test_shallow_relief_and_partial_overlap_are_found():
     turn, shift = errors(found.T_sample_test, hard.T_sample_test, hard.test.mean(axis=0))
     assert turn < 0.2
     assert shift < 0.3
+
+
+@pytest.mark.parametrize("line_mm", [1.5, 3.0])
+def test_a_profile_scanners_lines_meet_an_area_scan(easy, line_mm):
+    at = np.round(easy.test[:, 0] / line_mm)
+    lines = easy.test[np.abs(easy.test[:, 0] - at * line_mm) < 0.15]
+    found = register(lines, easy.sample)
+    turn, shift = errors(found.T_target_source, easy.T_sample_test, easy.test.mean(axis=0))
+    assert turn < 0.2
+    assert shift < 0.3
+
+
+def test_cells_reach_across_gaps_and_stay_small_where_there_are_none(rng):
+    plane = np.column_stack([rng.uniform(-60, 60, size=(20_000, 2)), np.zeros(20_000)])
+    lines = plane * [1, 1, 1]
+    lines[:, 1] = np.round(lines[:, 1] / 4) * 4
+    sizes = [choose_resolution(points).surfel_mm for points in (plane, lines)]
+    assert sizes[0] < 1.6
+    assert 4 / 3 < sizes[1] < 4
 
 
 def test_the_same_seed_gives_the_same_pose(easy):

@@ -140,6 +140,14 @@ def count_cells(points: Floats, origin: Floats, per_mm: float) -> int:
     return len(_numbered(points, origin, per_mm)[1])
 
 
+def neighbour_counts(points: Floats, size_mm: float, looked_at: int = 500) -> Integers:
+    """How many of the 27 cells of edge ``size_mm`` about some cells of points (N, 3), themselves included, hold points
+    (K,); the cells are drawn by where they lie, not by the order of the points."""
+    points = np.ascontiguousarray(points, dtype=float)
+    _, keys, table_keys, _ = assign_cells(points, cell_origin(points, size_mm), 1.0 / size_mm)
+    return _neighbour_counts(keys[:: max(1, len(keys) // looked_at)], table_keys)
+
+
 def random_order(keys: Integers, rng: np.random.Generator) -> Integers:
     """Indices (N,) of things with different keys (N,), such as cells, in a random order that the keys alone decide.
 
@@ -149,6 +157,19 @@ def random_order(keys: Integers, rng: np.random.Generator) -> Integers:
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # SplitMix64 (Steele 2014)
         mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
     return np.argsort(mixed ^ (mixed >> np.uint64(31)))
+
+
+@njit(cache=True, nogil=True)
+def _neighbour_counts(keys: Integers, table_keys: Integers) -> Integers:
+    """``neighbour_counts`` of cells with the given keys (K,)."""
+    counts = np.zeros(len(keys), dtype=np.int64)
+    for c in range(len(keys)):
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                for k in range(-1, 2):
+                    beside = keys[c] + (np.int64(i) << 42) + (np.int64(j) << 21) + k
+                    counts[c] += table_keys[find_slot(table_keys, beside)] != _EMPTY
+    return counts
 
 
 @njit(cache=True, nogil=True)

@@ -24,6 +24,7 @@ from grindvision.vision.registration.scan_registration import (
     StageClock,
     propose,
     refine,
+    warn_of_findings,
     without_strays,
 )
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
@@ -98,6 +99,7 @@ def register_to_model(
     eye = _eye(prepared, coarse.registration.T_target_source)
     target = whole if eye is None else scan_seen_from(surface, resolution, eye)
     fine = refine(prepared, target, coarse, draws)
+    warn_of_findings(prepared, coarse, fine, names)
     clock.lap("icp")
     return ModelRegistration(Registration(prepared, target, coarse, fine, clock.laps_s), surface)
 

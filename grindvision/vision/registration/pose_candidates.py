@@ -51,7 +51,8 @@ class PoseJudge:
     """Refines and judges poses of one source scan on one target; what was judged once is remembered.
 
     ``points`` and ``normals`` (N, 3) of some surfels of the source about ``centre``, ``extent`` their rms distance from
-    it; surfaces agree within ``within_mm``; ``surfels`` is the number of all surfels of both scans.
+    it; surfaces agree within ``within_mm``; ``surfels`` is the number of all surfels of both scans; ``whole``:
+    the target is a model, which shows all of the part.
     """
 
     def __init__(self, source: Scan, target: Scan, rng: np.random.Generator, sample: int) -> None:
@@ -63,16 +64,15 @@ class PoseJudge:
         self.points, self.normals = self.source.points[:RESTING], self.source.normals[:RESTING]
         self.surfels = len(source.surfels) + len(target.surfels)
         self.fine, self.coarse = target.surfels, target.voxels
+        self.whole = target.sided
         self.within_mm = _tolerance(source.surfels, target.surfels)
         self.centre = self.points.mean(axis=0)
         self.extent = float(np.sqrt(((self.points - self.centre) ** 2).sum(axis=1).mean()))
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
 
     def axes(self) -> Floats:
-        """Columns (3, 3): the principal axes of ``points``, right-handed, least extent first."""
-        _, axes = np.linalg.eigh(np.cov(self.points.T))
-        axes[:, 2] *= np.sign(np.linalg.det(axes))
-        return np.asarray(axes)
+        """Columns (3, 3): the ``principal_axes`` of ``points``."""
+        return principal_axes(self.points)
 
     def evidence(self, pose: Floats, count: int | None = RESTING) -> Evidence:
         """What the first ``count`` samples of both scans, or all, say about a pose (4, 4)."""
@@ -160,6 +160,13 @@ class PoseJudge:
         points, normals = self.source.points, self.source.normals
         residuals, facing = plane_residuals(points, normals, self.fine, pose, 2 * self.fine.grid.size_mm)
         return np.where(facing, residuals, np.nan)
+
+
+def principal_axes(points: Floats) -> Floats:
+    """Columns (3, 3): the principal axes of points (N, 3), right-handed, least extent first."""
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return np.asarray(axes)
 
 
 def _tolerance(source: Surfels, target: Surfels) -> float:

@@ -45,6 +45,8 @@ ALONE = 0.9
 HARDLY_KNOWN, OPEN = 0.01, 0.06
 """Standard deviations of a point's place, as fractions of the scan's extent, above which it is said, and refused."""
 
+LEFT_HANDED = "exported left-handed (two axes swapped, or one with the wrong sign)"
+
 SURE = 0.9
 """A pose of less confidence is given with a warning that names its rival's motion."""
 
@@ -176,7 +178,7 @@ def register_pair(
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
         clock.lap("verification")
         fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
-        _warn_of_findings(prepared_source, coarse, fine)
+        warn_of_findings(prepared_source, coarse, fine, names)
     except DegenerateError as refusal:
         coarse_source, coarse_target = (
             build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
@@ -184,32 +186,32 @@ def register_pair(
         if table := diagnose_table(coarse_source, coarse_target, names, int(rng.integers(2**32))):
             raise type(refusal)(f"{refusal}; and {table}") from None
         mirrored = _mirrored_fit(source, target, viewpoints_mm, rng)
-        handed = "exported left-handed (two axes swapped, or one with the wrong sign)"
         if isinstance(refusal, AmbiguousError):
             if mirrored is not None and mirrored.confidence >= ALONE:
                 raise AmbiguousError(
                     f"{refusal}; the mirror image of the {names.source} scan fits in one pose alone"
-                    f" ({mirrored.agreement}): if one of the two was {handed}, say --mirrored"
+                    f" ({mirrored.agreement}): if one of the two was {LEFT_HANDED}, say --mirrored"
                 ) from None
         elif mirrored is not None and mirrored.confidence >= CERTAIN:
             raise InputError(
                 f"the {names.source} scan fits the {names.target} only as its mirror image ({mirrored.agreement}):"
-                f" one of the two was {handed}; export it again, or say --mirrored; or do they show a symmetric part"
-                " from its two sides?"
+                f" one of the two was {LEFT_HANDED}; export it again, or say --mirrored; or do they show a symmetric"
+                " part from its two sides?"
             ) from None
         raise
     clock.lap("icp")
     return Registration(prepared_source, prepared_target, coarse, fine, clock.laps_s)
 
 
-def _warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration) -> None:
-    """Say what the pose may be instead: a rival's, or one along a motion that the surface hardly resists.
+def warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration, names: PairNames) -> None:
+    """Say what the pose may be instead: a rival's, a mirror image's, one along a motion that hardly anything resists.
 
     Raises:
-        AmbiguousError: along that motion nearly anything fits.
+        AmbiguousError: along that motion nearly anything fits. InputError: the mirror image fits far better.
 
     Warns:
-        GrindvisionWarning: a rival that fits nearly as well; a standard deviation that is large.
+        GrindvisionWarning: a rival that fits nearly as well; a mirror image that does; a standard deviation that is
+            large.
     """
     points = source.surfels.points[:: max(1, len(source.surfels) // 500)]
     extent = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -220,7 +222,7 @@ def _warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration
             f"the registration is ambiguous: {motion or 'some motion'} fits as well, as the scanners' own small errors"
             " say; scan more of the part, or a side that fixes it there"
         )
-    findings = []
+    findings = _findings_of_mirror(coarse, names)
     if sigma > HARDLY_KNOWN * extent:
         findings.append(
             f"the pose is known to {sigma:.2g} mm only (one standard deviation), along {motion}: the part shows little"
@@ -234,6 +236,26 @@ def _warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration
         )
     for finding in findings:
         warnings.warn(finding, GrindvisionWarning, stacklevel=3)
+
+
+def _findings_of_mirror(coarse: VerifiedPose, names: PairNames) -> list[str]:
+    """In words, that a mirror image of the source fits as well.
+
+    Raises:
+        InputError: it fits far better.
+    """
+    if coarse.mirror is None:
+        return []
+    if coarse.mirror.better:
+        raise InputError(
+            f"the {names.source} scan fits the {names.target} better as its mirror image ({coarse.mirror.agreement};"
+            f" as it is, {coarse.agreement}): one of the two was {LEFT_HANDED}; export it again, or say --mirrored"
+        )
+    return [
+        f"the mirror image of the {names.source} scan fits as well ({coarse.mirror.agreement}), so that it would not"
+        f" show if one of the two files was {LEFT_HANDED}; the path would then be off by up to"
+        f" {coarse.mirror.apart_mm:.3g} mm: check the export once, or scan what is not alike on both sides"
+    ]
 
 
 def without_strays(points: Floats, name: str) -> Floats:

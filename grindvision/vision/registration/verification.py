@@ -8,7 +8,7 @@ a rival is a likelihood ratio over all surfels; a rival that is not clearly wors
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.evidence import LOST
 from grindvision.vision.registration.free_motions import motion_name, motion_names
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.mirror_image import MirrorImage, mirrored_fit
 from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
 from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
@@ -61,13 +62,14 @@ NEAR = 6.0
 @dataclass(frozen=True)
 class VerifiedPose:
     """The pose that was chosen: its refinement, its ``agreement``, the best rival's, and in words the motion to that
-    rival; ``confidence`` 0..1 that no rival is right."""
+    rival; ``confidence`` 0..1 that no rival is right; ``mirror``: a mirror image of the source that fits as well."""
 
     registration: FineRegistration
     agreement: Agreement
     rival: Agreement
     confidence: float
     rival_motion: str = ""
+    mirror: MirrorImage | None = None
 
     def __str__(self) -> str:
         return f"{self.agreement}; confidence {self.confidence:.2f}"
@@ -103,7 +105,8 @@ def choose_pose(
             break
     best, *candidates = judge.ranked(candidates)
     _check_fit(judge, best)
-    return _verdict(judge, best, [other for other in candidates if judge.differ(other.pose, best.pose)])
+    found = _verdict(judge, best, [other for other in candidates if judge.differ(other.pose, best.pose)])
+    return replace(found, mirror=mirrored_fit(judge, best))
 
 
 def _check_fit(judge: PoseJudge, best: Candidate) -> None:
@@ -163,8 +166,8 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
 def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) -> list[float]:
     """Logarithms of the odds for the best pose against its rivals.
 
-    What lies beside an outline decides nothing. Between poses near each other the residuals where the surfaces meet in
-    both tell more than the rest.
+    What lies beside a scan's outline decides nothing; beside a whole model's there is no part. Between poses near each
+    other the residuals where the surfaces meet in both tell more than the rest.
     """
     one, sharp = judge.evidence(best.pose, None), judge.residuals(best.pose)
     sizes = np.abs(sharp[np.isfinite(sharp)])
@@ -172,8 +175,8 @@ def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) 
     ratios = []
     for rival in rivals:
         other = judge.evidence(rival.pose, None)
-        # what lies beside an outline decides nothing, unless nearly all of it does
-        absent = 0.0 if other.met > OVERLAPS * one.met else LOST
+        # what lies beside an outline decides nothing, unless nearly all of it does, or the other is a whole model
+        absent = 0.0 if other.met > OVERLAPS * one.met and not judge.whole else LOST
         ratio = judge.surfels * (other.cost(absent) - one.cost(absent))
         if not judge.differ(rival.pose, best.pose, NEAR):
             both = np.stack([sharp, judge.residuals(rival.pose)])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.geometry import inverse, move_points
-from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.hash_grid import build_cells, neighbour_counts
 from grindvision.geometry.neighbours import nearest
 from grindvision.parallel import parallel_map
 from grindvision.records import by_content
@@ -22,6 +22,11 @@ Floats = NDArray[np.float64]
 COS_UNSEEN = float(np.cos(np.radians(89)))
 """Cosine of the angle between normal and ray from which on no scanner sees a surface: the plane of such a surfel runs
 along one line of pixels, at the scan's rim, and which way it faces would be left to rounding."""
+
+MIN_NEIGHBOURS, LARGER, MAX_STEPS = 7, 1.25, 8
+"""Of the 27 cells about one on a surface that is seen all over, nine or more are occupied. Where it is fewer than this
+in the median, as between the lines of a profile scanner, planes would be fitted through single lines: the cells grow by
+this factor, so many times at most."""
 
 SIZES_PER_OCTAVE = 64
 """Cell sizes are rounded to so many per factor of two, so that a point more or less does not move every cell."""
@@ -68,11 +73,16 @@ class Scan:
 
 def choose_resolution(points: ArrayLike, voxels: int = 3000) -> Resolution:
     """Cell sizes for a scan (N, 3): about 25,000 surfels where the points allow it, more, as the root of their number,
-    above half a million, and about ``voxels`` coarse cells."""
+    above half a million, and about ``voxels`` coarse cells. Cells reach across the gaps between a scan's lines."""
     points = np.asarray(points, dtype=float)
     area = surface_area(points)
     surfels = min(25_000 * max(1.0, np.sqrt(len(points) / 500_000)), len(points) / 2)
-    return Resolution(np.sqrt(area / len(points)), _rounded(np.sqrt(area / surfels)), _rounded(np.sqrt(area / voxels)))
+    surfel = _rounded(np.sqrt(area / surfels))
+    for _ in range(MAX_STEPS):
+        if np.median(neighbour_counts(points, surfel)) >= MIN_NEIGHBOURS:
+            break
+        surfel = _rounded(LARGER * surfel)
+    return Resolution(np.sqrt(area / len(points)), surfel, _rounded(max(np.sqrt(area / voxels), surfel)))
 
 
 def coarser(one: Resolution, other: Resolution) -> Resolution:
