@@ -1,6 +1,7 @@
 """Bad measurements are refused or named, never calibrated in silence; the command line keeps its contract."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -136,7 +137,7 @@ def test_wrong_test_rows_are_named(rng):
     tracker[60] += [2.0, 0, 0]
     result = calibrate(replace(made.measurements, tracker_mm=tracker), er3a())
     assert result.dropped == ()
-    assert result.warnings == ("a test row contradicts the calibration: row 61 (pose 60, sphere 60)",)
+    assert result.warnings == ("a test row contradicts the calibration: row 61 (pose 60, sphere 60), 2 mm off",)
 
 
 def test_a_joint_that_counts_the_other_way(rng):
@@ -370,7 +371,7 @@ def test_many_dropped_rows_are_named_in_one_sentence(rng):
     result = calibrate(replace(made.measurements, tracker_mm=tracker), er3a())
     assert len(result.dropped) == 12
     (said,) = (sentence for sentence in result.warnings if "left out, they" in sentence)
-    assert said.startswith("12 rows were left out, they contradict the others: row 1 ")
+    assert re.match(r"12 rows were left out, they contradict the others, \S+ to \S+ mm: row 1 ", said)
 
 
 def test_few_rows_are_cross_validated_one_by_one(rng):

@@ -20,6 +20,7 @@ from grindvision.vision.depth_calibration.field_correction import (
     read_field,
     write_field,
 )
+from grindvision.vision.depth_calibration.field_errors import predict_field_errors
 from grindvision.vision.depth_calibration.grid_smoothing import (
     fitting_stiffness,
     on_axes,
@@ -321,3 +322,29 @@ def test_good_plates_raise_no_doubt(serial):
     for stands in (PLATES_MM, PLATES_MM[:4]):
         assert diagnose_plates(plate_scans(camera, rng, stands), stands - stands[0], stands[0]).warnings == ()
     assert diagnose_plates(plates(waves)[:1], [0.0], FIRST_MM).warnings == ()
+
+
+@pytest.mark.parametrize(("serial", "every"), [(20, 1), (21, 2)])
+def test_the_error_predicted_over_the_volume_is_the_one_that_is_left(serial, every):
+    camera, rng = cell.DepthCamera(serial=serial), np.random.default_rng(serial)
+    stands = PLATES_MM[::every]
+    clouds, steps = plate_scans(camera, rng, stands), stands - stands[0]
+    left = depth_left(camera, calibrate_field(clouds, steps, CalibrateFieldOptions(stands[0])))["left_mm"]
+    predicted = predict_field_errors(clouds, steps, rng)
+    assert 0.6 < predicted.mean_mm / np.sqrt(np.mean(left**2)) < 1.6
+    assert predicted.mean_mm < predicted.p95_mm < predicted.worst[0]
+    assert "predicted over the volume" in str(predicted)
+
+
+def test_a_hole_in_all_plates_and_wide_gaps_are_predicted_worse(rng):
+    clouds = plates(waves, rng=rng, noise_mm=0.05)
+    whole = predict_field_errors(clouds, STEPS_MM, rng)
+    holed = [cloud[np.hypot(*(cloud[:, :2] / cloud[:, 2:]).T) > 0.08] for cloud in clouds]
+    part = predict_field_errors(holed, STEPS_MM, rng)
+    u, v = (np.argmin(np.abs(axis)) for axis in part.slopes)
+    assert part.rms_mm[u, v].mean() > 1.5 * whole.rms_mm[u, v].mean()
+    assert part.rms_mm[2, 2].mean() < 2 * whole.rms_mm[2, 2].mean()
+    at = np.searchsorted(whole.distances_mm, FIRST_MM + STEPS_MM[1:3])
+    assert whole.rms_mm[:, :, at[0] + 1].mean() > whole.rms_mm[:, :, at].mean()
+    with pytest.raises(InputError, match="at least 3"):
+        predict_field_errors(clouds[:2], STEPS_MM[:2], rng)

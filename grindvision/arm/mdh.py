@@ -148,7 +148,7 @@ def read_arm(path: str | Path) -> MdhArm:
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from None
     reach = float(np.abs(arm.table[:, 1:3]).sum())
-    if not (SHORTEST_MM < reach < LONGEST_MM or (reach == 0 and arm.n <= 3)):
+    if not (SHORTEST_MM < reach < LONGEST_MM or (reach <= SHORTEST_MM and arm.n <= 3)):
         raise UnitError(
             f"{path}: the links add up to {reach:.4g} mm, which is no arm; give a and d in mm, or name them a_m and d_m"
         )

@@ -31,7 +31,8 @@ from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import ScannerOnArm
 from grindvision.calibration.options import Options
 from grindvision.calibration.robust import consistent_rows
-from grindvision.calibration.starts import place_unseen_fixtures
+from grindvision.calibration.socket_distances import doubt_distances
+from grindvision.calibration.starts import median_error, place_unseen_fixtures
 from grindvision.calibration.statistics import ErrorStatistics, error_statistics
 from grindvision.calibration.structure import Finding, sentences_of, structure_in
 from grindvision.calibration.uncertainty import ModelError, honest_covariance, model_error, one_sigma, predicted_rms_mm
@@ -131,9 +132,11 @@ class Calibration:
     def predicted_rms_mm(self, q_rad: Floats, points_scanner: Floats) -> Floats:
         """Root mean square error (P,) in mm to expect at joint angles (P, n) for points (P, 3) of the scanner's frame.
 
-        The systematic part: what is left of the arm's and the scanner's errors, without the noise of measuring.
+        The systematic part: what is left of the arm's and the scanner's errors, without the noise of measuring. An arm
+        whose table was held keeps its own errors, which nothing tells from noise: there all that the fit left counts.
         """
-        return predicted_rms_mm(self.cell, self.unknowns, self.model_error, self.findings, q_rad, points_scanner)
+        rms = predicted_rms_mm(self.cell, self.unknowns, self.model_error, self.findings, q_rad, points_scanner)
+        return rms if self.unknowns.table else np.hypot(rms, self.errors(train=True).rms)
 
     foreseen_rms_mm = renamed_property("foreseen_rms_mm", "predicted_rms_mm")
 
@@ -187,6 +190,7 @@ def calibrate(
     fitted = np.flatnonzero(without_copies(measurements) & measurements.train)
     training = measurements.rows(fitted).with_known_distances()
     ours = options.variant != "paper"
+    warnings += doubt_distances(training, arm, options.seed)
     coarse = start or coarse_start(training, arm, options.base_fixed, options.seed).cell
     fit = _fitted(coarse, arm, unknowns, training, options)
     if measurements.fixtures:
@@ -194,7 +198,7 @@ def calibrate(
         coarse = place_unseen_fixtures(coarse, measurements, training)
     warnings += check_fit(coarse, fit.cell, measurements, fitted, fit.kept, options.base_fixed, options.seed)
     dropped = tuple(int(row) for row in fitted[~fit.kept])
-    warnings += _judged(fit, arm, unknowns, training, ours) + _named(dropped, measurements, *LEFT_OUT)
+    warnings += _judged(fit, arm, unknowns, training, ours) + _named(fit.cell, dropped, measurements, *LEFT_OUT)
     if not measurements.train.all():
         warnings += _judge_test_rows(fit, unknowns, training, measurements)
     used = training.rows(fit.kept)
@@ -235,6 +239,12 @@ def _judged(fit: Fit, arm: MdhArm, unknowns: Unknowns, training: Measurements, o
         said += judge_dropped(fit.cell, arm, unknowns, training, fit.kept, fit.sigmas)
     if not fit.converged:
         said.append("the iteration did not converge: look at the residuals before you use the result")
+    typical = 0.0 if unknowns.table else median_error(fit.cell, training.rows(fit.kept))
+    if typical > HELD_ARM_MM:
+        said.append(
+            f"with the robot table held as it is, {typical:.2g} mm are left in the median: the arm itself is off by"
+            " about as much; calibrate it too, with more poses (--free offsets, or without --free)"
+        )
     return said
 
 
@@ -264,6 +274,9 @@ def unknowns_of(measurements: Measurements, arm: MdhArm, options: Options) -> Un
     return unknowns_for(measurements, table_entries(arm, options.free), options.base_fixed)
 
 
+#: What a held arm may leave in the median (mm): factory-calibrated ones leave less.
+HELD_ARM_MM = 0.5
+
 #: Test rows whose errors are so many times what the fit predicts make its statement doubtful.
 WORSE_THAN_PREDICTED = 1.6
 
@@ -273,8 +286,8 @@ def _judge_test_rows(fit: Fit, unknowns: Unknowns, training: Measurements, measu
     test = measurements.rows(~measurements.train)
     expected = expected_covariance(fit, unknowns, training, test, np.zeros(len(test), dtype=bool))
     residuals = residuals_of(fit.cell, test)
-    odd = np.flatnonzero(~measurements.train)[~consistent_rows(residuals, expected)]
-    told = _named(odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
+    odd = np.flatnonzero(~measurements.train)[~consistent_rows(residuals, expected, test.directions)]
+    told = _named(fit.cell, odd, measurements, "a test row contradicts", "test rows contradict", "the calibration")
     predicted = np.sqrt(np.median(np.trace(expected, axis1=1, axis2=2)))
     found = np.sqrt(np.median((residuals**2).sum(axis=1)) * 3 / 2.366)
     if found > WORSE_THAN_PREDICTED * predicted and len(test) >= 6:
@@ -286,13 +299,19 @@ def _judge_test_rows(fit: Fit, unknowns: Unknowns, training: Measurements, measu
 
 
 def _named(
-    rows: Sequence[int] | NDArray[np.int64], measurements: Measurements, one: str, many: str, what: str
+    cell: ScannerOnArm,
+    rows: Sequence[int] | NDArray[np.int64],
+    measurements: Measurements,
+    one: str,
+    many: str,
+    what: str,
 ) -> list[str]:
     """Rows that contradict the others: a sentence each, or one for all of them where they are many."""
+    off = np.linalg.norm(residuals_of(cell, measurements.rows(list(rows))), axis=1) if len(rows) else np.zeros(0)
+    labels = [f"{measurements.label(row)}, {size:.2g} mm off" for row, size in zip(rows, off, strict=True)]
     if len(rows) <= MAX_NAMED:
-        return [f"{one} {what}: {measurements.label(row)}" for row in rows]
-    first = ", ".join(measurements.label(row) for row in rows[:MAX_NAMED])
-    return [f"{len(rows)} {many} {what}: {first} and others"]
+        return [f"{one} {what}: {label}" for label in labels]
+    return [f"{len(rows)} {many} {what}, {off.min():.2g} to {off.max():.2g} mm: {'; '.join(labels[:MAX_NAMED])}; ..."]
 
 
 def _change(coarse: ScannerOnArm, cell: ScannerOnArm, unknowns: Unknowns) -> Floats:

@@ -33,6 +33,9 @@ OTHER_ARM = 0.25
 #: An axis that stands so far from where the table has it (rad) is another axis.
 OTHER_AXIS_RAD = 0.35
 
+#: What a mistake must leave at most to explain anything, mm or as a fraction of the arm's reach.
+EXPLAINS_MM, EXPLAINS_FRACTION = 15.0, 0.04
+
 #: Mistakes that may come together, and how many candidates for the first are followed.
 MAX_MISTAKES, FOLLOWED = 2, 2
 
@@ -69,7 +72,7 @@ def check_fit(
         _refuse_shifted_pairing(cell, measurements, fitted, kept)
     if measurements.tracked.all():
         _explain(measurements, fitted, coarse, base_fixed, seed)
-    reach = float(np.hypot(coarse.arm.table[:, 1], coarse.arm.table[:, 2]).sum())
+    reach = _reach(coarse.arm)
     change = np.abs(cell.arm.table - coarse.arm.table)[:, 1:3]
     if change.max() > max(OTHER_ARM * reach, 4 * FAR_MM):
         joint, column = np.unravel_index(int(np.argmax(change)), change.shape)
@@ -96,9 +99,9 @@ def check_fit(
     if typical > max(10.0, 0.01 * reach):
         raise InputError(
             f"no arm of this structure fits: {typical:.1f} mm are left in the median; check the robot table"
-            " (modified, not standard DH), the joints' directions and zeros, which joint carries the scanner, whether"
-            " the arm stands on a track or a turntable that the table leaves out, and that every row pairs a pose with"
-            " its own point"
+            " (modified, not standard DH; mm), the joints' directions and zeros, the units of all columns, which joint"
+            " carries the scanner, whether the arm stands on a track or a turntable that the table leaves out, and that"
+            " every row pairs a pose with its own point"
         )
     return [
         *moved,
@@ -164,7 +167,8 @@ def _explain(
         return
     before, after = (float(np.quantile(lengths, 0.9)) for lengths in (given, left))
     median_before, median_after = float(np.median(given)), float(np.median(left))
-    if after < 0.2 * before or median_after < 0.2 * median_before:
+    enough = max(EXPLAINS_MM, EXPLAINS_FRACTION * _reach(coarse.arm))
+    if min(after, median_after) < enough and (after < 0.2 * before or median_after < 0.2 * median_before):
         others = [one[1][0].reason for one in chains[1:] if len(one[1]) == len(chain) and one[0] < 1.1 * best[0]]
         same = [reason for reason in dict.fromkeys(others) if reason != chain[0].reason]
         alternative = f" (or, as good: {same[0]})" if same and len(chain) == 1 else ""
@@ -177,6 +181,10 @@ def _explain(
             f"{' and '.join(mistake.reason for mistake in chain)}{alternative}: then the nominal arm leaves"
             f" {shown[1]:.2f} mm instead of {shown[0]:.1f} mm{rest}; mend the {what}"
         )
+
+
+def _reach(arm: MdhArm) -> float:
+    return float(np.hypot(arm.table[:, 1], arm.table[:, 2]).sum())
 
 
 def _score(lengths: Floats) -> float:
@@ -200,7 +208,14 @@ def far_from_nominal(arm: MdhArm, nominal: MdhArm) -> list[str]:
             name, moved, size = " + ".join(entry_name(5 * int(joint) + 2) for joint in run), total, total / FAR_MM
     if size < 1:
         return []
+    amount = f"{moved:.4g} mm" if name.endswith("_mm") else f"{moved:.4g} rad ({np.degrees(moved):.3g} deg)"
     advice = "more than machines deviate: check the table"
-    if size > OTHER_TABLE:
+    far = sizes.ravel() > OTHER_TABLE
+    if name.startswith("theta") and far.sum() == np.count_nonzero(far[3 :: len(PARAMETERS)]):
+        advice = (
+            "no other length or tilt does: its zero is counted from elsewhere than the table has it; mend that entry,"
+            " or the offset that the controller adds"
+        )
+    elif size > OTHER_TABLE:
         advice = "this is another arm's table, by the look of it: give the right one, with its limits and speeds"
-    return [f"{name} moved by {moved:.4g} from the robot table, {advice}"]
+    return [f"{name} moved by {amount} from the robot table, {advice}"]

@@ -54,7 +54,7 @@ def iterated_fit(
         return fit
     rough = Sigmas(0.1, 0.0, options.length_prior_mm or 1.0, options.angle_prior_rad or 2e-3)
     cell, steps, _ = gauss_newton(coarse, arm, unknowns, training, rough, robust=True, iterations=20)
-    agree = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, rough))
+    agree = consistent_rows(residuals_of(cell, training), noise_covariances(cell, training, rough), training.directions)
     for _ in range(6):
         fit = _fit_rows(cell, arm, unknowns, training, agree, options)
         fit, agree = replace(fit, iterations=fit.iterations + steps), consistent(fit, unknowns, training)
@@ -80,7 +80,9 @@ def _fit_rows(
 def consistent(fit: Fit, unknowns: Unknowns, training: Measurements) -> Flags:
     """Rows whose residuals fit; a row that was fitted leaves less than its noise, one left out leaves more."""
     return consistent_rows(
-        residuals_of(fit.cell, training), expected_covariance(fit, unknowns, training, training, fit.kept)
+        residuals_of(fit.cell, training),
+        expected_covariance(fit, unknowns, training, training, fit.kept),
+        training.directions,
     )
 
 

@@ -25,6 +25,8 @@ def check_measurements(measurements: Measurements, arm: MdhArm, unknowns: int) -
     if measurements.q_rad.shape[1] != arm.n:
         raise InputError(f"measurements of {measurements.q_rad.shape[1]} joints for an arm of {arm.n}")
     _check_units(measurements, arm)
+    if not measurements.train.any():
+        raise InputError(f"none of the {len(measurements)} rows is marked train in column split: nothing to fit to")
     good = measurements.rows(without_copies(measurements) & measurements.train)
     equations = good.equations
     if equations <= unknowns:
@@ -71,12 +73,11 @@ def _check_units(measurements: Measurements, arm: MdhArm) -> None:
     joint = int(np.argmax(largest))
     range_rad = np.ptp(measurements.q_rad[:, joint])
     if largest[joint] > 2 * np.pi + 0.01 and not (largest[joint] < 20 * np.pi and range_rad < 2 * np.pi):
-        raise UnitError(
-            f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: these look like degrees; give radians, or name it"
-            f" q{joint + 1}_deg"
-        )
+        looks = "these look like degrees; give radians, or name it" if largest[joint] < 800 else "no unit of angle"
+        hint = f" q{joint + 1}_deg" if largest[joint] < 800 else " has so many a turn but milliradians; give radians"
+        raise UnitError(f"column q{joint + 1}_rad reaches {largest[joint]:.4g}: {looks}{hint}")
     reach = np.hypot(arm.table[:, 1], arm.table[:, 2]).sum()
-    if 0 < reach < 10:
+    if 0 < reach < 10 and arm.n > 3:  # axes of a positioner or a wrist meet within parts of a millimetre
         raise UnitError(
             f"the arm's links add up to {reach:.4g} mm: the robot table looks like metres; give millimetres"
         )

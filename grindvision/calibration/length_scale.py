@@ -56,7 +56,7 @@ def length_scale(
     explained = 1 - left / max(float((changes[chosen] ** 2).sum()), 1e-300)
     sentence = (
         f"the arm's lengths all come out {abs(scale):.2%} too {'long' if scale > 0 else 'short'} for the robot table"
-        f" ({told}): the tracker's scale or unit is off by as much, or the table is another arm's; measure a known"
-        " length with the tracker"
+        f" ({told}): the scale of what measured them (tracker, ball bar, distance of sockets) is off by as much, or"
+        " the table is another arm's; measure a known length with it"
     )
     return (Finding("tracker scale", size, explained, chance, sentence, bias),)

@@ -104,11 +104,15 @@ class Measurements:
         return self.fixture < 0
 
     @property
-    def equations(self) -> int:
-        """Equations that the rows give: three each, but one for a bar's length or a touched plane."""
+    def directions(self) -> NDArray[np.int64]:
+        """Directions (M,) in which each row says something: three, but one for a bar's length or a touched plane."""
         planes = np.array([kind == "plane" for kind, _ in self.fixtures] + [False])[self.fixture]
-        one = ~self.tracked & (planes | np.isfinite(self.bar_mm))
-        return int(3 * len(self) - 2 * one.sum()) + len(self.distances_mm)
+        return np.where(~self.tracked & (planes | np.isfinite(self.bar_mm)), 1, 3)
+
+    @property
+    def equations(self) -> int:
+        """Equations that the rows give, one for each direction and for each known distance."""
+        return int(self.directions.sum()) + len(self.distances_mm)
 
     def rows(self, chosen: ArrayLike) -> Measurements:
         """Return the rows marked or numbered by ``chosen``."""

@@ -25,6 +25,13 @@ UNIT_NAMES = {
     0.0254: "mils", 0.001: "micrometres",
 }  # fmt: skip
 
+#: Units of joint readings by the factor that turns them into what their column says: angles, and ways of a slide.
+ANGLE_UNITS = {np.pi / 180: "degrees", 180 / np.pi: "radians that were taken for degrees", 0.9: "gradians"}
+TRAVEL_UNITS = {1000.0: "metres", 10.0: "centimetres", 25.4: "inches", 0.001: "micrometres"}
+
+#: Units that one axis alone may be written in.
+AXIS_UNITS = (1000.0, 25.4, 10.0)
+
 #: A factor this near to a unit's is that unit; this far from 1 it is no error of scale.
 UNIT_TOLERANCE, MIN_FACTOR = 0.04, 0.05
 
@@ -45,14 +52,15 @@ def mistakes(
     """Every mistake that is looked for; ``single``: those too that never come on top of another."""
     if single:
         yield from shifted_rows(measurements)
-        yield from _in_metres(measurements)
+        yield from _other_axes(measurements)
         yield Mistake(
             "the robot table is a standard DH table: move alpha and a one row down, with 0 in the first row",
             InputError,
             arm=_from_standard(arm),
         )
     yield from _other_units(measurements, arm, fitted, seed)
-    yield from _joint_mistakes(measurements)
+    yield from _joint_units(measurements, arm)
+    yield from _joint_order(measurements)
     for column, name in (("tracker_mm", "b"), ("scanner_mm", "s"))[: 1 if measurements.on_tool else 2]:
         yield Mistake(
             f"columns {name}x_mm to {name}z_mm are mirrored (two swapped, or one with the wrong sign)",
@@ -88,14 +96,17 @@ def shifted_rows(measurements: Measurements) -> list[Mistake]:
     ]
 
 
-def _in_metres(measurements: Measurements) -> Iterator[Mistake]:
+def _other_axes(measurements: Measurements) -> Iterator[Mistake]:
+    """One axis of the tracker or the scanner in another unit than the others, or all of them in metres."""
     for column, name in (("tracker_mm", "b"), ("scanner_mm", "s"))[: 1 if measurements.on_tool else 2]:
         for axes in ([0], [1], [2], [0, 1, 2]):
-            yield Mistake(
-                f"{', '.join(name + 'xyz'[axis] + '_mm' for axis in axes)} in metres, by the look of it",
-                UnitError,
-                _changing(column, partial(np.multiply, np.where(np.isin(np.arange(3), axes), 1000.0, 1.0))),
-            )
+            names = ", ".join(name + "xyz"[axis] + "_mm" for axis in axes)
+            for factor in AXIS_UNITS if len(axes) == 1 else AXIS_UNITS[:1]:
+                yield Mistake(
+                    f"{names} in {UNIT_NAMES[factor]}, by the look of it",
+                    UnitError,
+                    _changing(column, partial(np.multiply, np.where(np.isin(np.arange(3), axes), factor, 1.0))),
+                )
 
 
 def _other_units(measurements: Measurements, arm: MdhArm, fitted: NDArray[np.int64], seed: int) -> Iterator[Mistake]:
@@ -137,7 +148,25 @@ def _times(factor: float) -> str:
     return f"{factor:.4g} times too small" if factor > 1 else f"{1 / factor:.4g} times too large"
 
 
-def _joint_mistakes(measurements: Measurements) -> Iterator[Mistake]:
+def _joint_units(measurements: Measurements, arm: MdhArm) -> Iterator[Mistake]:
+    """One column of joint readings, or all of one kind, in another unit than its name says."""
+    prismatic = np.array(arm.prismatic)
+    for slides, letter, units in ((False, "rad", ANGLE_UNITS), (True, "mm", TRAVEL_UNITS)):
+        joints = np.flatnonzero(prismatic == slides)
+        groups = [joints[[i]] for i in range(len(joints))] + ([joints] if len(joints) > 1 else [])
+        for group in groups:
+            names = [f"q{joint + 1}_{letter}" for joint in group]
+            what = f"column {names[0]} looks" if len(group) == 1 else f"columns {names[0]} to {names[-1]} look"
+            for factor, unit in units.items():
+                yield Mistake(
+                    f"{what} like {unit}",
+                    UnitError,
+                    _changing("q_rad", partial(np.multiply, np.where(np.isin(np.arange(arm.n), group), factor, 1.0))),
+                )
+
+
+def _joint_order(measurements: Measurements) -> Iterator[Mistake]:
+    """Two columns of joint angles swapped, or neighbours that count the other way round."""
     joints = measurements.q_rad.shape[1]
     numbers = np.arange(joints)
     for one, other in combinations(range(joints), 2):
@@ -148,13 +177,6 @@ def _joint_mistakes(measurements: Measurements) -> Iterator[Mistake]:
             InputError,
             _changing("q_rad", partial(np.take, indices=order, axis=1)),
         )
-    for joint in range(joints):
-        for factor, unit in ((np.pi / 180, "degrees"), (180 / np.pi, "radians that were taken for degrees")):
-            yield Mistake(
-                f"column q{joint + 1}_rad looks like {unit}",
-                UnitError,
-                _changing("q_rad", partial(np.multiply, np.where(numbers == joint, factor, 1.0))),
-            )
     for first in range(joints):
         for last in range(first, joints):
             names = f"column q{first + 1}_rad counts" if first == last else f"columns q{first + 1} to q{last + 1} count"

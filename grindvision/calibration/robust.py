@@ -12,13 +12,17 @@ from grindvision.calibration.statistics import whitening
 FALSE_ALARM = 1e-5
 
 
-def consistent_rows(residuals_mm: ArrayLike, covariances_mm2: ArrayLike) -> NDArray[np.bool_]:
+def consistent_rows(
+    residuals_mm: ArrayLike, covariances_mm2: ArrayLike, directions: ArrayLike = 3
+) -> NDArray[np.bool_]:
     """Flags (M,) of the rows whose residuals (M, 3) fit their covariances (M, 3, 3) up to a common scale.
 
-    The scale comes from the median squared Mahalanobis distance, so up to half of the rows may be wrong.
+    ``directions`` (M,): in how many directions each row says something, its degrees of freedom. The scale comes from
+    the median squared Mahalanobis distance, so up to half of the rows may be wrong.
     """
     residuals = np.asarray(residuals_mm, dtype=float)
     squared = (np.einsum("mij,mj->mi", whitening(covariances_mm2), residuals) ** 2).sum(axis=1)
-    scale = max(float(np.median(squared)) / chi2.median(3), 1e-300)
+    directions = np.broadcast_to(np.asarray(directions), squared.shape)
+    scale = max(float(np.median(squared / chi2.median(directions))), 1e-300)
     size = np.linalg.norm(residuals, axis=1)
-    return (squared <= scale * chi2.isf(FALSE_ALARM, 3)) | (size < 1e-6)
+    return (squared <= scale * chi2.isf(FALSE_ALARM, directions)) | (size < 1e-6)

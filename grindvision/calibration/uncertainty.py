@@ -43,7 +43,10 @@ MEAN_OF_RMS = 0.9213
 ONE_SIGMA = 0.6827
 
 #: Structures that no joint term stands for: they pull the unknowns by what the test found.
-PULLING = ("drift", "jump", "scanner scale", "tracker scale", "sphere", "coupling")
+PULLING = (
+    "drift", "jump", "slip", "bar", "scanner scale", "scanner depth", "tracker scale", "sphere", "coupling",
+    "joint scale",
+)  # fmt: skip
 
 
 @by_content
@@ -176,8 +179,9 @@ def predicted_rms_mm(
         off = design @ finding.bias[keep]
         if finding.terms:
             off = off + columns(finding.terms) @ np.array(finding.values)
-        elif finding.kind == "scanner scale":
+        elif finding.kind in ("scanner scale", "scanner depth"):
             rotation = (cell.T_tracker_base @ points.frames[:, -1] @ cell.T_joint_scanner)[:, :3, :3]
-            off = off - finding.values[0] * np.einsum("mij,mj->mi", rotation, points.scanner_mm)
+            axes = np.array([1.0, 1.0, 1.0] if finding.kind == "scanner scale" else [0.0, 0.0, 1.0])
+            off = off - finding.values[0] * np.einsum("mij,mj->mi", rotation, axes * points.scanner_mm)
         square = square + (off**2).sum(axis=1)
     return np.sqrt(np.maximum(variance, 0.0) + square)

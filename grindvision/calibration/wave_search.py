@@ -58,6 +58,10 @@ class LinearFit:
         block = np.vstack([self.whiten(columns), np.zeros((self.design.shape[1], columns.shape[2]))])
         return block / np.maximum(np.linalg.norm(block, axis=0), 1e-12)
 
+    def beside(self, block: Floats) -> Floats:
+        """What of columns (R, c) the fit's own unknowns cannot do."""
+        return block - self.basis @ (self.basis.T @ block)
+
     def wave(self, joint: int, orders: Floats) -> Floats:
         """Columns (M, 3, 2 W) of the waves of a joint, cos and sin in turn."""
         angles = orders * self.points.q_rad[:, [joint]]

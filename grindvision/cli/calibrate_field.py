@@ -19,8 +19,9 @@ in the scanner's frame: origin in the scanner, z forward.
 results in DIR:
   field.npz        the depth error over the volume, for --field-correction of detect and groove
   report.png       did it work? the depth error at the nearest and the farthest plate, plates that took no part
-  report.json      held-out error, volume, how large a tilt, a wrong step or a wrong distance these scans could hide
-                   (could_not_be_seen), timings, versions, parameters; written last
+  report.json      held-out error; predicted_mm: depth error that a corrected point keeps over the volume, between the
+                   plates too; how large a tilt, a wrong step or a wrong distance these scans could hide
+                   (could_not_be_seen); volume, timings, versions, parameters; written last
 
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
 
@@ -70,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
         held_out_rms_mm,
         write_field,
     )
+    from grindvision.vision.depth_calibration.field_errors import predict_field_errors
     from grindvision.vision.depth_calibration.plate_checks import diagnose_plates
 
     draw = drawing("calibrate_field_picture")
@@ -82,10 +84,12 @@ def run(options: argparse.Namespace) -> int:
             diagnosis = diagnose_plates(plates, options.steps_mm, options.distance_mm)
         for text in diagnosis.warnings:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
-        unseen = None
+        unseen = predicted = None
         if len(plates) > 2:
             with work.stage("held_out"):
                 unseen = held_out_rms_mm(plates, options.steps_mm)
+            with work.stage("predicted"):
+                predicted = predict_field_errors(plates, options.steps_mm, np.random.default_rng(0))
             if unseen[1] >= unseen[0]:
                 text = "plates that took no part are no flatter with the correction than without; do not use it"
                 warnings.warn(text, GrindvisionWarning, stacklevel=1)
@@ -95,16 +99,17 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("write"):
             write_field(field, work.place / "field.npz")
         with work.stage("picture"):
-            draw(field, unseen, work.warnings, work.place / "report.png")
+            draw(field, unseen, predicted, work.warnings, work.place / "report.png")
         results = {
             "rms_mm": float(np.sqrt(np.mean(field.error_grid_mm**2))),
             "held_out_rms_mm": None if unseen is None else {"before": unseen[0], "after": unseen[1]},
+            "predicted_mm": None if predicted is None else predicted.as_numbers(),
             "slopes": {"low": field.low[:2], "high": field.high[:2]},
             "distance_mm": {"low": field.low[2], "high": field.high[2]},
             "plate_normal": field.normal,
             "could_not_be_seen": asdict(diagnosis.unseen),
         }
-        stays = str(diagnosis.unseen)
+        stays = str(diagnosis.unseen) if predicted is None else f"{predicted}\n{diagnosis.unseen}"
         if options.distance_mm is None:
             stays += "\none offset of all depths stays, as --distance-mm was not given"
         work.report(str(field), results, {"nodes": field.error_grid_mm.shape}, shown=stays)

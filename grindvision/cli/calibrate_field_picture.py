@@ -17,9 +17,16 @@ with extra("plot"):
 
 if TYPE_CHECKING:
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
+    from grindvision.vision.depth_calibration.field_errors import PredictedFieldErrors
 
 
-def draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Sequence[str], path: Path) -> None:
+def draw(
+    field: FieldCorrection,
+    unseen: tuple[float, float] | None,
+    predicted: PredictedFieldErrors | None,
+    told: Sequence[str],
+    path: Path,
+) -> None:
     """Draw report.png: the verdict, and the depth error at the nearest and at the farthest plate."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     panels = figure.subplots(1, 2)
@@ -40,6 +47,8 @@ def draw(field: FieldCorrection, unseen: tuple[float, float] | None, told: Seque
     if unseen is not None:
         verdict = f"Calibrated: a plate that took no part is off flat by {unseen[1]:.2f} mm rms"
         facts = f"Before: {unseen[0]:.2f} mm rms. Noise is in both numbers."
+        if predicted is not None:
+            facts += f"\nA corrected point, over the volume: {predicted.mean_mm:.2f} mm rms predicted in depth."
         if unseen[1] >= unseen[0]:
             verdict = "Calibration did not help"
     draw_verdict(figure, verdict, facts, told)

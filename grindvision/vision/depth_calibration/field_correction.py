@@ -90,7 +90,7 @@ class FieldCorrection:
 
 @by_content
 @dataclass(frozen=True)
-class _Plates:
+class BinnedPlates:
     """Binned plates: depth errors (U, V, D) in mm, weights 0 to 1, nodes of the axes in mm at the ``middle_mm``."""
 
     error_mm: Floats
@@ -143,7 +143,7 @@ def calibrate_field(
         True
     """
     distance_mm = None if options is None else options.distance_mm
-    binned = _binned(plates, steps_mm, distance_mm)
+    binned = binned_plates(plates, steps_mm, distance_mm)
     stiffness = fitting_stiffness(binned.error_mm, binned.weights, binned.nodes)
     field = smooth_grid(binned.error_mm, binned.weights, binned.nodes, stiffness)
     at, low, high = binned.nodes[2], binned.low, binned.high
@@ -168,17 +168,26 @@ def held_out_rms_mm(plates: Sequence[ArrayLike], steps_mm: Sequence[float]) -> t
     """
     if len(plates) < 3:
         raise InputError(f"{len(plates)} plates; to leave one out takes at least 3")
-    binned = _binned(plates, steps_mm, None)
+    binned = binned_plates(plates, steps_mm, None)
     stiffness = fitting_stiffness(binned.error_mm, binned.weights, binned.nodes)
-    before, after, weight = 0.0, 0.0, 0.0
-    for k in range(1, len(plates) - 1):
+    before, after = (
+        float(np.sqrt(np.average(squares, weights=weight))) for squares, weight in left_out(binned, stiffness)
+    )
+    return before, after
+
+
+def left_out(binned: BinnedPlates, stiffness: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Mean square (K - 2,) of each inner plate's bins, mm2, and its weight: off flat, and off a field without it."""
+    before, after, weight = np.zeros((3, len(binned.nodes[2]) - 2))
+    for k in range(1, len(binned.nodes[2]) - 1):
         weights = binned.weights.copy()
         weights[:, :, k] = 0.0
         left = binned.error_mm - smooth_grid(binned.error_mm, weights, binned.nodes, stiffness)
-        before += float((binned.weights * binned.error_mm**2)[:, :, k].sum())
-        after += float((binned.weights * left**2)[:, :, k].sum())
-        weight += float(binned.weights[:, :, k].sum())
-    return (before / weight) ** 0.5, (after / weight) ** 0.5
+        own = binned.weights[:, :, k]
+        weight[k - 1] = own.sum()
+        before[k - 1] = (own * binned.error_mm[:, :, k] ** 2).sum() / own.sum()
+        after[k - 1] = (own * left[:, :, k] ** 2).sum() / own.sum()
+    return (before, weight), (after, weight)
 
 
 def write_field(correction: FieldCorrection, path: str | Path) -> None:
@@ -207,7 +216,12 @@ def read_field(path: str | Path) -> FieldCorrection:
     return FieldCorrection(grid, low, high, normal)
 
 
-def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None) -> _Plates:
+def binned_plates(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm: float | None) -> BinnedPlates:
+    """Bin the scans of ``calibrate_field`` over the field, and say how far each bin lies off its plate.
+
+    Raises:
+        InputError, DegenerateError: see ``calibrate_field``.
+    """
     steps = np.asarray(steps_mm, dtype=float)
     if len(plates) == 0 or steps.shape != (len(plates),) or len(np.unique(steps)) != len(steps):
         raise InputError(f"{len(plates)} plates need as many different steps, got {steps.tolist()}")
@@ -230,7 +244,7 @@ def _binned(plates: Sequence[ArrayLike], steps_mm: Sequence[float], distance_mm:
     axes = [start + (np.arange(n) + 0.5) * (end - start) / n for n, start, end in zip(shape, low, high, strict=True)]
     weights = np.minimum(counts / np.median(counts[seen]), 1.0)
     error, weights = (np.moveaxis(part.reshape(len(at), *shape), 0, 2) for part in (error, weights))
-    return _Plates(
+    return BinnedPlates(
         error,
         weights,
         [axes[0] * middle, axes[1] * middle, at],

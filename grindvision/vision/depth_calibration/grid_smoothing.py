@@ -30,23 +30,54 @@ def smooth_grid(values: Floats, weights: Floats, nodes: Sequence[Floats], stiffn
     """
     vectors, bends = _bends(nodes)
     penalty = sum(size * bend for size, bend in zip(stiffness, bends, strict=True))
+    return _solved(weights, weights * values, vectors, penalty)
+
+
+def draw_deviations(
+    weights: Floats, nodes: Sequence[Floats], stiffness: Floats, count: int, rng: np.random.Generator
+) -> Floats:
+    """Fields (count, grid) by which ``smooth_grid`` may be off, drawn at random, for values whose noise is 1.
+
+    The spline is the mean of a Gaussian field whose second derivatives are white noise of variance 1 / ``stiffness``,
+    seen with noise of variance 1 / weight; these are draws of that field round its mean, so that holes and the space
+    between nodes far apart come out as uncertain as they are.
+    """
+    vectors, bends = _bends(nodes)
+    penalty = sum(size * bend for size, bend in zip(stiffness, bends, strict=True))
+    draws = np.empty((count, *weights.shape))
+    for draw in draws:
+        seen = np.sqrt(weights) * rng.standard_normal(weights.shape)
+        bend = on_axes(vectors, np.sqrt(penalty) * rng.standard_normal(weights.shape))
+        draw[:] = _solved(weights, seen + bend, vectors, penalty)
+    return draws
+
+
+def freedom_left(weights: Floats, nodes: Sequence[Floats], stiffness: Floats) -> float:
+    """Degrees of freedom that are left for the noise of the values beside the field, holes filled."""
+    _, bends = _bends(nodes)
+    penalty = sum(size * bend for size, bend in zip(stiffness, bends, strict=True))
+    return float((penalty / (1 + penalty)).sum()) * float((weights > 0).mean())
+
+
+def _solved(weights: Floats, right: Floats, vectors: list[Floats], penalty: Floats) -> Floats:
+    """Field whose weights and bends, applied to it, give ``right``, by conjugate gradients."""
 
     def bent(flat: Floats) -> Floats:
-        field = flat.reshape(values.shape)
+        field = flat.reshape(weights.shape)
         return (weights * field + on_axes(vectors, penalty * on_axes(_turned(vectors), field))).ravel()
 
     def as_without_holes(flat: Floats) -> Floats:
-        return on_axes(vectors, on_axes(_turned(vectors), flat.reshape(values.shape)) / (1 + penalty)).ravel()
+        return on_axes(vectors, on_axes(_turned(vectors), flat.reshape(weights.shape)) / (1 + penalty)).ravel()
 
-    size = (values.size, values.size)
+    size = (weights.size, weights.size)
     solution, _ = cg(
         LinearOperator(size, bent, dtype=float),
-        (weights * values).ravel(),
+        right.ravel(),
         M=LinearOperator(size, as_without_holes, dtype=float),
         rtol=1e-6,
         maxiter=300,
     )
-    return solution.reshape(values.shape)
+    return np.asarray(solution.reshape(weights.shape))
 
 
 def fitting_stiffness(values: Floats, weights: Floats, nodes: Sequence[Floats]) -> Floats:
