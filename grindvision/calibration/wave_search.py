@@ -43,11 +43,12 @@ OWN_FRACTION = 0.05
 class LinearFit:
     """The fit near its solution, scaled to unit noise: R residuals and priors, K unknowns.
 
-    ``design`` (R, K) and ``goal`` (R,) with a row for each prior behind the rows (3 M) of the measurements; ``basis``
-    (R, K) spans the design, ``left`` (R,) is the goal without it.
+    ``jacobian`` (M, 3, n) says how each joint moves each of the ``points``. ``design`` (R, K) has a row for each prior
+    behind the rows (3 M) of the measurements; ``basis`` (R, K) spans it, ``left`` (R,) is what it leaves of the goal.
     """
 
     points: CarriedPoints
+    jacobian: Floats
     whiten: PoseWhitening
     design: Floats
     basis: Floats
@@ -66,7 +67,7 @@ class LinearFit:
         """Columns (M, 3, 2 W) of the waves of a joint, cos and sin in turn."""
         angles = orders * self.points.q_rad[:, [joint]]
         bases = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(angles), -1)
-        return self.points.jacobian()[:, :, [joint]] * bases[:, None, :]
+        return self.jacobian[:, :, [joint]] * bases[:, None, :]
 
 
 def linear_fit(
@@ -80,7 +81,7 @@ def linear_fit(
     pull = np.nan_to_num(-deviations_of / widths)
     goal = np.concatenate([whiten(residuals_of(cell, measurements)[:, :, None])[:, 0], pull])
     basis = np.linalg.svd(design, full_matrices=False)[0]
-    return LinearFit(points, whiten, design, basis, goal - basis @ (basis.T @ goal))
+    return LinearFit(points, points.jacobian(), whiten, design, basis, goal - basis @ (basis.T @ goal))
 
 
 @by_content
