@@ -155,12 +155,13 @@ def _points_of_mesh(content: Content, triangles: NDArray[np.int64]) -> tuple[Con
     note = f"{spare:,} vertices that belong to no face were left out" if spare else ""
     corners = vertices[triangles]
     corners = corners[sound(corners)]
-    if len(corners) == 0 or vertices_suffice(corners):
+    area = float(np.linalg.norm(double_areas(corners), axis=1).sum()) / 2
+    diagonal = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))) if len(corners) else 0.0
+    count = area / (SAMPLE_STEP * diagonal) ** 2 if diagonal else 0.0
+    if not count >= 1 or vertices_suffice(corners):  # slivers alone, or numbers beyond all counting
         normals = None if content.normals is None else content.normals[named]
         return replace(content, points=vertices[named], normals=normals), note
-    area = float(np.linalg.norm(double_areas(corners), axis=1).sum()) / 2
-    diagonal = float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
-    points, owner = spread_points(corners, int(min(area / (SAMPLE_STEP * diagonal) ** 2, MAX_SAMPLES)))
+    points, owner = spread_points(corners, int(min(count, MAX_SAMPLES)))
     normals = double_areas(corners)
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True))[owner]
     said = (

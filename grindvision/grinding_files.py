@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +14,10 @@ from numpy.typing import NDArray
 
 from grindvision.errors import FileError
 from grindvision.files import plain, write_whole
+from grindvision.formats.arrays import DAMAGED
+from grindvision.geometry import check_rigid
 from grindvision.geometry.height_map import HeightMap
+from grindvision.input_files import check_memory, open_input
 from grindvision.motion.grinding import GrindingPass, GrindingPlan, Stroke, Workpiece
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.records import by_content
@@ -111,25 +115,29 @@ def read_job(folder: str | Path) -> GrindingJob:
     if "\0" in str(folder) or not path.is_file():
         raise FileError(f"{folder}: no {PLAN_FILE} in it; give the folder that `grindvision grind -o` wrote")
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            content = json.loads(str(arrays["content"]))
-            if content["format"] != FORMAT:
-                raise FileError(f"{path}: format {content['format']} is of another version; plan the job again")
-            read = [_piece(arrays, number, entry) for number, entry in enumerate(content["pieces"])]
-    except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
-        raise FileError(f"{path}: damaged ({str(error)[:80]}); plan the job again") from None
-    except Exception as error:
-        if type(error).__name__ not in ("BadZipFile", "error"):
-            raise
-        raise FileError(f"{path}: damaged ({str(error)[:80]}); plan the job again") from None
+        with open_input(path) as file, zipfile.ZipFile(file) as archive:
+            check_memory(path, 2.0 * sum(entry.file_size for entry in archive.infolist()))
+            with np.load(file, allow_pickle=False) as arrays:
+                return _job(path, arrays)
+    except (*DAMAGED, AttributeError) as error:
+        raise FileError(f"{path}: damaged ({' '.join(str(error).split())[:80]}); plan the job again") from None
+
+
+def _job(path: Path, arrays: Mapping[str, Any]) -> GrindingJob:
+    content = json.loads(str(arrays["content"]))
+    if content["format"] != FORMAT:
+        raise FileError(f"{path}: format {str(content['format'])[:20]} is of another version; plan the job again")
+    read = [_piece(arrays, number, entry) for number, entry in enumerate(content["pieces"])]
     return GrindingJob(
         content["sample"],
-        np.array(content["T_sample_test"], dtype=float),
+        check_rigid(content["T_sample_test"], f"{path}: T_sample_test"),
         tuple(one[0] for one in read),
         tuple(one[1] for one in read),
         tuple(one[2] for one in read),
         GrindingOptions(**content["options"]),
-        None if content["T_base_scanner"] is None else np.array(content["T_base_scanner"], dtype=float),
+        None
+        if content["T_base_scanner"] is None
+        else check_rigid(content["T_base_scanner"], f"{path}: T_base_scanner"),
     )
 
 
@@ -142,6 +150,8 @@ def _piece(
     bare = HeightMap(frame, entry["spacing_mm"], ground, normals, heights)
     place = MappedPlace(bare, inside, arrays[f"{key}unchanged"], entry["highest_mm"])
     sigma = arrays[f"{key}sigma"]
+    if not heights.shape == inside.shape == place.unchanged.shape == sigma.shape == ground.shape == normals.shape[:2]:
+        raise ValueError(f"the maps of piece {number} differ in size")
     found = entry["plan"]
     if found is None:
         return place, sigma, None

@@ -21,11 +21,15 @@ from hypothesis import strategies as st
 from grindvision.arm import read_arm
 from grindvision.arm.urdf_chain import urdf_chain
 from grindvision.calibration import read_measurements
+from grindvision.calibration.pose_conventions import convention, poses_from, read_pose_rows
 from grindvision.cli import COMMANDS, main
+from grindvision.cli.camera_pose import camera_content, read_camera
 from grindvision.cli.scans import read_pose
 from grindvision.clouds import read_cloud
 from grindvision.errors import GrindvisionError, GrindvisionWarning
-from grindvision.files import read_json, read_toml
+from grindvision.files import plain, read_json, read_toml
+from grindvision.geometry import rigid
+from grindvision.motion.tool import read_torch
 from grindvision.result_set import write_set
 from grindvision.vision.depth_calibration.field_correction import read_field
 from grindvision_book.studies.rows import RowsFile
@@ -46,6 +50,7 @@ LINKS = "".join(
 )
 URDF = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name="r"><link name="l0"/>{LINKS}</robot>\n'
 PARAMETERS = 'points = 6\nseed = 3\nunit = "mm"\nsample-viewpoint = [1.0, 2, 3.5]\nsample-model = true\n'
+CAMERA = camera_content(rigid(None, [0, 50.0, 80]), "on-arm", convention("fanuc"))
 ROWS = "case,seed,code,value,error\n0,3,abc,1.5,\n1,3,abc,,InputError: no\n"
 
 
@@ -55,13 +60,13 @@ def saved(save: Callable[..., None], *arrays, **named) -> bytes:
     return file.getvalue()
 
 
-def ply(form: str) -> bytes:
+def ply(form: str, lists: str = "uchar int") -> bytes:
     head = f"ply\nformat {form} 1.0\ncomment c\nelement camera 1\nproperty float f\nelement vertex {len(POINTS)}\n"
     head += "".join(f"property {'float' if form != 'ascii' else 'double'} {axis}\n" for axis in "xyz")
-    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    head += f"element face 1\nproperty list {lists} vertex_indices\nend_header\n"
     order = ">" if "big" in form else "<"
     body = f"1.5\n{TABLE}3 0 1 2\n".encode()
-    face = b"\3" + struct.pack(f"{order}3i", 0, 1, 2)
+    face = (b"\3" if lists.startswith("uchar") else struct.pack(f"{order}I", 3)) + struct.pack(f"{order}3i", 0, 1, 2)
     return head.encode() + (body if form == "ascii" else bytes(4) + POINTS.astype(f"{order}f4").tobytes() + face)
 
 
@@ -74,6 +79,7 @@ SEEDS: dict[str, bytes] = {
     "ascii.ply": ply("ascii"),
     "little.ply": ply("binary_little_endian"),
     "big.ply": ply("binary_big_endian"),
+    "wide.ply": ply("binary_little_endian", "uint int"),
     **{f"{form}.pcd": pcd(POINTS, form) for form in ("ascii", "binary", "binary_compressed")},
     "a.xyz": TABLE.encode(),
     "a.csv": ("x [mm];y [mm];z [mm]\n" + TABLE.replace(" ", ";").replace(".", ",")).encode(),
@@ -86,6 +92,9 @@ SEEDS: dict[str, bytes] = {
     ).encode(),
     "pose.json": json.dumps({"T_base_scanner": np.eye(4).tolist()}).encode(),
     "p.toml": PARAMETERS.encode(),
+    "camera.json": json.dumps(plain(CAMERA)).encode(),
+    "tool.json": json.dumps({"T_flange_tcp": rigid(translation_mm=[0, 0, 300]).tolist()}).encode(),
+    "poses.csv": b"x;y;z;rx;ry;rz\n" + b"500;20.5;600;180;0;0\n" * 5,
     "robot.csv": ROBOT.encode(),
     "m.csv": MEASURED.encode(),
     "robot.urdf": URDF.encode(),
@@ -109,6 +118,9 @@ def rows(path: Path) -> None:
 READERS: dict[str, Callable[[Path], Any]] = {
     "pose.json": lambda path: (read_json(path), read_pose(path)),
     "p.toml": parameters,
+    "camera.json": read_camera,
+    "tool.json": read_torch,
+    "poses.csv": lambda path: poses_from(read_pose_rows(path), convention("fanuc")),
     "robot.csv": read_arm,
     "m.csv": read_measurements,
     "robot.urdf": urdf_chain,
@@ -241,6 +253,37 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(folder, name, edits):
         else:
             if name not in READERS:
                 assert found.points.ndim == 2 and found.points.shape[1] == 3 and 0 < len(found) < 2_000_000
+
+
+@pytest.mark.parametrize("length", [0xFFFFFFFF, 0x7FFFFFFF, 4, 0])
+def test_a_face_of_more_corners_than_the_file_holds(tmp_path, length):
+    (tmp_path / "a.ply").write_bytes(
+        ply("binary_little_endian", "uint int")[:-16] + struct.pack("<I3i", length, 0, 1, 2)
+    )
+    if length == 0:
+        assert len(read_cloud(tmp_path / "a.ply")) == len(POINTS)
+        return
+    with pytest.raises(GrindvisionError, match="corners"):
+        read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("length", [np.nan, np.inf, -1.0])
+def test_a_face_of_no_number_of_corners(tmp_path, length):
+    whole = ply("binary_little_endian", "float int")[:-16] + struct.pack("<f3i", length, 0, 1, 2)
+    (tmp_path / "a.ply").write_bytes(whole)
+    with pytest.raises(GrindvisionError, match="corners"):
+        read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.ply"])
+@pytest.mark.parametrize("sign", ["", "-"])
+def test_a_vertex_of_more_digits_than_a_machine_counts(tmp_path, name, sign):
+    far = f"{sign}{'9' * 23}"
+    head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / name).write_text(f"v 1 2 3\nf 1 1 {far}\n" if name == "a.obj" else f"{head}1 2 3\n3 0 0 {far}\n")
+    with pytest.raises(GrindvisionError, match="a face names a vertex of more than 18 digits"):
+        read_cloud(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,18 @@ def test_a_job_that_is_damaged_or_missing_is_refused(folder, tmp_path):
         (tmp_path / "plan.npz").write_bytes(broken)
         with pytest.raises(FileError, match="damaged"):
             read_job(tmp_path)
+    arrays = dict(np.load(folder / "job" / "plan.npz"))
+    content = json.loads(str(arrays["content"]))
+    for damage in (
+        {"content": "[" * 100_000},
+        {"content": "7"},
+        {"content": json.dumps(content | {"options": {"radius_mm": "wide"}})},
+        {"content": json.dumps(content | {"pieces": {"a": 1}})},
+        {"piece0_ground": np.zeros((4, 4))},
+    ):
+        np.savez(tmp_path / "plan.npz", **(arrays | damage))
+        with pytest.raises(FileError, match="damaged"):
+            read_job(tmp_path)
 
 
 def test_another_good_scan_is_refused(folder, capsys, tmp_path):

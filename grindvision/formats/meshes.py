@@ -90,15 +90,22 @@ def read_obj(path: Path, file: BinaryIO) -> Content:
                 faces.append([at - 1 if at > 0 else so_far + at if at < 0 else -1 for at in face])  # -1 is the last
     except ValueError as error:
         raise FileError(f"{path}: a face is damaged ({error}); export the mesh again") from None
-    triangles = fans(faces)
+    triangles = fans(path, faces)
     check_faces(path, triangles, len(vertices))
     return Content(vertices, triangles=triangles if len(triangles) else None)
 
 
-def fans(faces: Sequence[Sequence[int]]) -> Integers:
-    """Triangles (T, 3) of polygons, each a list of its corners."""
+def fans(path: Path, faces: Sequence[Sequence[int]]) -> Integers:
+    """Triangles (T, 3) of polygons, each a list of its corners.
+
+    Raises:
+        FileError: the number of a corner has more digits than any file has vertices.
+    """
     triangles = [(face[0], *face[k : k + 2]) for face in faces for k in range(1, len(face) - 1)]
-    return np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    try:
+        return np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    except OverflowError:
+        raise FileError(f"{path}: a face names a vertex of more than 18 digits; the file is damaged") from None
 
 
 def check_faces(path: Path, triangles: Integers, vertices: int) -> None:

@@ -140,7 +140,7 @@ def _faces_of_text(path: Path, lines: Sequence[str], kinds: Sequence[tuple[str, 
             faces.append(face)
     except (ValueError, IndexError) as error:
         raise FileError(f"{path}: a face is damaged ({error}); export the mesh again") from None
-    return fans(faces)
+    return fans(path, faces)
 
 
 def _faces_of_one_size(
@@ -155,10 +155,10 @@ def _faces_of_one_size(
             fields.append((f"{k}", kind[0]))
             file.seek(np.dtype(kind[0]).itemsize, 1)
             continue
-        length = int(_number(path, file, kind[0]))
+        length = _list_length(path, file, kind)
         lengths.append((f"n{k}", length))
-        fields += [(f"n{k}", kind[0]), (f"{k}", kind[1], max(length, 0))]
-        file.seek(max(length, 0) * np.dtype(kind[1]).itemsize, 1)
+        fields += [(f"n{k}", kind[0]), (f"{k}", kind[1], length)]
+        file.seek(length * np.dtype(kind[1]).itemsize, 1)
     file.seek(start)
     record = np.dtype(fields)
     if count * record.itemsize > bytes_left(file):
@@ -168,7 +168,7 @@ def _faces_of_one_size(
     if not all((rows[name] == length).all() for name, length in lengths):
         file.seek(start)
         return None
-    corners = rows[f"{at}"].astype(np.int64)
+    corners = _whole(rows[f"{at}"])
     size = corners.shape[1]
     if size < 3:
         return np.empty((0, 3), dtype=np.int64)
@@ -184,14 +184,29 @@ def _faces_of_any_size(path: Path, file: BinaryIO, count: int, kinds: Sequence[t
             if len(kind) == 1:
                 _number(path, file, kind[0])
                 continue
-            length = int(_number(path, file, kind[0]))
             item = np.dtype(kind[1])
-            if not 0 <= length * item.itemsize <= bytes_left(file):
-                raise FileError(f"{path}: it ends within element face; it is cut short or damaged")
-            items = np.frombuffer(file.read(length * item.itemsize), dtype=item)
+            items = np.frombuffer(file.read(_list_length(path, file, kind) * item.itemsize), dtype=item)
             if k == at:
-                faces.append([int(item) for item in items])
-    return fans(faces)
+                faces.append(_whole(items).tolist())
+    return fans(path, faces)
+
+
+def _list_length(path: Path, file: BinaryIO, kind: tuple[str, ...]) -> int:
+    """How many items the list at this place of a binary file has; all of them are there.
+
+    Raises:
+        FileError: no count, or more than the file holds.
+    """
+    length = _number(path, file, kind[0])
+    if not (length >= 0 and length * np.dtype(kind[1]).itemsize <= bytes_left(file)):
+        raise FileError(f"{path}: a face of {length:g} corners, of which the file does not hold so many; it is damaged")
+    return int(length)
+
+
+def _whole(items: NDArray[np.generic]) -> Integers:
+    """Items of a list as whole numbers; what is none becomes one that no vertex has."""
+    with np.errstate(invalid="ignore"):
+        return items.astype(np.int64)
 
 
 def _number(path: Path, file: BinaryIO, kind: str) -> float:
