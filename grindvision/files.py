@@ -11,6 +11,7 @@ import os
 import sys
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 UNITS = {"rad": ("deg", math.pi / 180), "mm": ("m", 1000.0)}
 #: Bytes of files that people write: settings, poses; tables of measurements.
 LARGEST_SETTINGS, LARGEST_TABLE = 1_000_000, 200_000_000
+#: Columns that a table of measurements may have: more are no columns, and would be looked at one by one.
+MAX_COLUMNS = 10_000
 
 #: How the name of a file that is being written begins.
 UNFINISHED = ".grindvision-"
@@ -246,6 +249,10 @@ def _text_table(path: Path) -> pd.DataFrame:
         separator = max((mark for mark in ",;\t" if mark in head), key=head.count, default=blank)
         first = csv.reader([head.strip(" \n")], delimiter=separator, skipinitialspace=True)
         names = [name.strip() for name in next(first, [])]
+        if len(names) > MAX_COLUMNS:
+            raise FileError(
+                f"{path}: {len(names):,} columns; a table of this kind has a few, a row for each measurement"
+            )
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
@@ -263,7 +270,7 @@ def _text_table(path: Path) -> pd.DataFrame:
         raise FileError(f"{path}: not a readable CSV table ({' '.join(str(error).split())[:200]})") from None
     if pd.to_numeric(pd.Series(names, dtype=object), errors="coerce").notna().mean() > 0.5:
         raise FileError(f"{path}: the first line holds numbers; write the columns' names above it, without #")
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
         raise FileError(f"{path}: column {twice[0]} stands in the first line {names.count(twice[0])} times; mend it")
     table.columns = [str(column).strip() for column in table.columns]

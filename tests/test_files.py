@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grindvision.errors import FileError
-from grindvision.files import read_json, read_table, sha256, write_json, write_text, write_whole
+from grindvision.files import column_names, read_json, read_table, sha256, write_json, write_text, write_whole
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path):
@@ -144,3 +144,10 @@ def test_a_table_parted_by_blanks_is_refused_with_its_place(tmp_path, content, m
     (tmp_path / "table.txt").write_text(content)
     with pytest.raises(FileError, match=message):
         read_table(tmp_path / "table.txt", ["x_mm", "y_mm"])
+
+
+def test_a_table_of_a_hundred_thousand_columns_is_refused_at_once(tmp_path):
+    """It kept a command busy for minutes."""
+    (tmp_path / "a.csv").write_text(",".join(f"c{k}" for k in range(100_000)) + "\n" + ",".join("1" * 100_000) + "\n")
+    with pytest.raises(FileError, match="100,000 columns"):
+        column_names(tmp_path / "a.csv")
