@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.errors import FileError
+from grindvision.errors import FileError, GrindvisionError
 from grindvision.files import plain, write_whole
 from grindvision.formats.arrays import DAMAGED
 from grindvision.geometry import check_rigid
@@ -119,7 +119,9 @@ def read_job(folder: str | Path) -> GrindingJob:
             check_memory(path, 2.0 * sum(entry.file_size for entry in archive.infolist()))
             with np.load(file, allow_pickle=False) as arrays:
                 return _job(path, arrays)
-    except (*DAMAGED, AttributeError) as error:
+    except FileError:
+        raise
+    except (*DAMAGED, AttributeError, GrindvisionError) as error:
         raise FileError(f"{path}: damaged ({' '.join(str(error).split())[:80]}); plan the job again") from None
 
 

@@ -182,7 +182,7 @@ def long_ways(code):
     """What code fetches from a module of a room although the room's face, or the front door, has it."""
     tree, rooms = ast.parse(code), {}
     for node in ast.walk(tree):
-        if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("grindvision"):
+        if not isinstance(node, ast.ImportFrom) or node.module is None or not node.module.startswith("grindvision"):
             continue
         room = node.module.split(".")[1] if "." in node.module else ""
         for name in (one.name for one in node.names):

@@ -199,7 +199,7 @@ def _list_length(path: Path, file: BinaryIO, kind: tuple[str, ...]) -> int:
     """
     length = _number(path, file, kind[0])
     if not (length >= 0 and length * np.dtype(kind[1]).itemsize <= bytes_left(file)):
-        raise FileError(f"{path}: a face of {length:g} corners, of which the file does not hold so many; it is damaged")
+        raise FileError(f"{path}: a face of {length:g} corners, which it does not hold; it is cut short or damaged")
     return int(length)
 
 
