@@ -113,7 +113,7 @@ def draw_squares(axes: Axes, paths: pd.DataFrame, across: str, up: str) -> pd.Da
         off = here[[f"{across}_mm", f"{up}_mm"]] - centre
         _draw_points(axes, (off + place).assign(orientation=here["orientation"]), across, up, lines=False)
         _draw_square(axes, place)
-        axes.annotate(str(number), place + [0.0, 0.29], ha="center", va="bottom", fontsize="small")
+        axes.annotate(str(number), (place[0], place[1] + 0.29), ha="center", va="bottom", fontsize="small")
         parts.append(here[["orientation", "point"]].join(off))
     axes.set(aspect="equal", xticks=[], yticks=[], xlim=(-0.45, 2.13), ylim=(-1.6, 0.55))
     axes.set_axis_off()

@@ -11,7 +11,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
 from grindvision_book.machinery.figures import save_figure, shown_in
@@ -82,7 +82,7 @@ def _told(label: str, value: float) -> str:
     return f"{quantity} {value:g} {unit}".rstrip()
 
 
-def _pictures(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], **how: object) -> list[bytes]:
+def _pictures(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], **how: Any) -> list[bytes]:
     """The pictures of all values, of one scale; ``how`` they are saved as Matplotlib's ``savefig`` takes it."""
     import matplotlib.pyplot as plt
 
