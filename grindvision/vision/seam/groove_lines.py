@@ -28,9 +28,11 @@ from grindvision.vision.seam.groove_profile import (
 )
 from grindvision.vision.seam.seam_curve import SeamCurve, Strip
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
+from grindvision.vision.seam.section_shift import section_shifts
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 #: A section may differ from its neighbours by this fraction of what the first fit left free.
 NEIGHBOUR_FRACTION = 0.1
@@ -40,6 +42,9 @@ MIN_DEPTH_IN_SCATTER = 3.0
 CORE_FRACTION, COVERED_FRACTION = 0.08, 0.5
 #: Fewer than so many points in two stations tell nothing; then this fraction of the width to both sides is looked at.
 MIN_IN_WINDOW, WINDOW_FRACTION = 8, 0.35
+#: Behind the ends of a groove points belong to it so near to its section, in standard deviations of the others, where
+#: this fraction of those between its edges does.
+MAX_OFF_IN_SCATTER, MIN_ON_SECTION = 3.0, 0.8
 #: The two ends of a ring point the same way within this angle.
 RING_TURN_RAD = np.radians(50)
 #: Rounding of a sharp corner, in fractions of the width: enough for derivatives, too little to see.
@@ -124,6 +129,9 @@ def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: floa
     core = np.abs(strip.across - np.interp(strip.along, at, theta.parameters[:, ROOT])) < CORE_FRACTION * width
     covered = _covered(strip.along[core], first, last, step, width)
     lines, heights, smooth = _smooth_lines(theta, sections, covered, step)
+    aside, above = section_shifts(strip, smooth, fit.corners, step)
+    lines[:, 1] += aside
+    heights[:, 1] += above
 
     def along(values: Floats) -> Floats:
         return np.interp(strip.along, at, values)
@@ -131,13 +139,17 @@ def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: floa
     between = (strip.across >= along(smooth[:, LEFT])) & (strip.across <= along(smooth[:, RIGHT]))
     ends = (strip.along >= (first - 0.5) * step) & (strip.along <= (last - 0.5) * step)
     depth = float(np.median(smooth[first:last, DEPTH]))
-    inside = between & ends
-    sections_here = np.stack([along(smooth[:, parameter]) for parameter in range(7)], axis=1)[inside]
-    off = strip.up[inside] - profile_height(strip.across[inside, None], sections_here, fit.corners)[:, 0]
-    if len(off) == 0 or depth < MIN_DEPTH_IN_SCATTER * MAD_TO_STD * np.median(np.abs(off)):
+    sections_here = np.stack([along(smooth[:, parameter]) for parameter in range(7)], axis=1)
+    off = strip.up - profile_height(strip.across[:, None], sections_here, fit.corners)[:, 0]
+    if not (between & ends).any():
+        return None
+    scatter = MAD_TO_STD * float(np.median(np.abs(off[between & ends])))
+    if depth < MIN_DEPTH_IN_SCATTER * scatter:
         return None
     floor = along(smooth[:, LEVEL]) + along(smooth[:, TILT]) * strip.across - 1.3 * depth - 4 * noise
-    members = np.sort(strip.index[inside & (strip.up > floor)])
+    fits = between & (np.abs(off) < MAX_OFF_IN_SCATTER * scatter)
+    beyond = _oblique_ends(strip.along / step, between, fits, (first, last), width / step)
+    members = np.sort(strip.index[(between & ends & (strip.up > floor)) | beyond])
     first, last = covered
     placed = curve.stations[:, None, :] + lines[:, :, None] * curve.across[:, None, :]
     placed = (placed + heights[:, :, None] * curve.up[:, None, :])[first:last]
@@ -163,7 +175,25 @@ def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: floa
     )
 
 
-def _floor_fraction(corners: Corners, width: float) -> float:
+def _oblique_ends(place: Floats, between: Flags, fits: Flags, run: tuple[int, int], reach: float) -> Flags:
+    """Points (K,) at ``place`` along the seam, in stations, that go on with the groove behind the ends of its run.
+
+    Where a part ends askew, or a camera sees one wall farther round a pipe than the other, one wall goes on alone: as
+    long as most points ``between`` the edges still lie on the section (``fits``), at most ``reach`` stations far.
+    """
+    first, last = run
+    beyond = np.zeros(len(place), dtype=bool)
+    number = np.floor(place + 0.5).astype(int)
+    for end, way in ((first, -1), (last - 1, 1)):
+        for station in range(end + way, end + way * (int(reach) + 1), way):
+            here = between & (number == station)
+            if not here.any() or fits[here].mean() < MIN_ON_SECTION:
+                break
+            beyond |= here & fits
+    return beyond
+
+
+def _floor_share(corners: Corners, width: float) -> float:
     """How much of a groove's width its flat or rounded root takes; 0 for a sharp one."""
     return 2 * max(corners.floor_mm, corners.root_mm if corners.root_mm > 2 * SHARP * width else 0.0) / width
 

@@ -55,7 +55,8 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     """Smooth values (S,) as stiffly as their own noise asks for; returns them and the length (mm) that was taken.
 
     Cross-validation by stretches: in turns, stretches of ``GAP`` stations here and there are left out and bridged by
-    the curve through the others; the length taken is the one whose curves come nearest to the middles of the gaps. A
+    the curve through the others; the length taken is the largest whose curves come as near to the middles of the gaps as
+    the nearest ones, within a standard error. A
     curve that follows the noise predicts badly, and so does one too stiff for the seam. Stretches, not single
     stations, because noise is alike on neighbouring stations and would be taken for the seam. Values far off do not
     count.
@@ -73,12 +74,24 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     scaled = off * np.sqrt(weights / max(weights.max(), 1e-300))
     # The same limit for all lengths, or a bad one would shut out more of what it misses.
     limit = OUTLIER * np.median(scaled[:, weights > 0], axis=1).min(initial=np.inf)
-    best = int(np.argmin((np.minimum(scaled, limit) ** 2).sum(axis=1)))
+    best = _stiffest(np.minimum(scaled, limit) ** 2)
     # The first and the last gap are not bridged but reached from one side: there no prediction tells an outlier.
     known = np.flatnonzero(weights > 0)
     bridged = (place >= known.min(initial=len(place)) + GAP) & (place <= known.max(initial=0) - GAP)
     trusted = np.where(bridged & (scaled[best] > limit), 0.0, weights)
     return smooth_along(values, trusted, lengths[best], step_mm), float(lengths[best])
+
+
+def _stiffest(squares: Floats) -> int:
+    """The stiffest of L curves that predicts as well as the best one, within a standard error, from squares (L, S).
+
+    The standard error is that of the difference between both, from sums over stretches of ``GAP`` stations.
+    """
+    best = int(np.argmin(squares.sum(axis=1)))
+    starts = np.arange(0, squares.shape[1], GAP)
+    worse = np.add.reduceat(squares[best:] - squares[best], starts, axis=1)
+    doubt = worse.std(axis=1) * np.sqrt(len(starts) ** 2 / max(len(starts) - 1, 1))
+    return best + int(np.flatnonzero(worse.sum(axis=1) <= doubt)[-1])
 
 
 @njit(cache=True, nogil=True)
