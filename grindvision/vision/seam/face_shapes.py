@@ -23,6 +23,8 @@ REACH_CELLS = 8.0
 PLANE_NOISE, PLANE_FRACTION = 1.0, 0.02
 #: A cylinder leaves at most this fraction of what a plane leaves.
 CYLINDER_FRACTION = 0.35
+#: A free form bulges if an arc leaves less than this fraction of what a plane leaves.
+BULGE_FRACTION = 0.95
 #: Surfels that lie in the extension of a face, or on a parallel surface, have normals within this of the face's.
 PARALLEL_RAD = np.radians(12.0)
 #: A face that ends within this behind the other one is a corner's, if so much of that stretch is seen to be empty.
@@ -33,11 +35,15 @@ MIN_SURFELS = 8
 
 @dataclass(frozen=True)
 class FaceShape:
-    """Shape of a face: ``name`` is plane, cylinder or free form; a cylinder has ``radius_mm`` and ``axis`` (3,)."""
+    """Shape of a face: ``name`` is plane, cylinder or free form; a cylinder has ``radius_mm`` and ``axis`` (3,).
+
+    ``bulges`` says that the face bends away from the side that is seen, like a tube's outside.
+    """
 
     name: str
     radius_mm: float = np.inf
     axis: tuple[float, float, float] | None = None
+    bulges: bool = False
 
     def __str__(self) -> str:
         return f"cylinder of radius {self.radius_mm:.3g} mm" if self.name == CYLINDER else self.name
@@ -131,6 +137,9 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     solution = np.linalg.lstsq(np.column_stack([2 * u, 2 * v, np.ones(len(u))]), u * u + v * v, rcond=None)[0]
     radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0.0)))
     off = np.hypot(u - solution[0], v - solution[1]) - radius
-    if float(np.sqrt((off**2).mean())) < max(CYLINDER_FRACTION * flat, noise):
-        return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])))
-    return FaceShape(FREE_FORM)
+    scatter = float(np.sqrt((off**2).mean()))
+    centre = solution[:2] @ first
+    bulges = bool(centre @ normals.mean(axis=0) < 0 and scatter < BULGE_FRACTION * flat)
+    if scatter < max(CYLINDER_FRACTION * flat, noise):
+        return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])), bulges)
+    return FaceShape(FREE_FORM, bulges=bulges)

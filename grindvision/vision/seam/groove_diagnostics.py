@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
 
 Floats = NDArray[np.float64]
 
@@ -18,12 +19,17 @@ MIN_BOTH_SIDES = 0.9
 WALL_DEPTHS, MIN_WALL_FRACTION, POINTS_ASKED = (0.2, 0.8), 0.08, 2000
 #: Distance from the root, in half widths: inner wall, outer wall, the surface beside the groove; and the bins there.
 INNER_WALL, OUTER_WALL, BESIDE = (0.1, 0.5), (0.4, 0.9), (1.1, 1.7)
-PROFILE_BINS = np.linspace(0.1, 1.75, 12)
+PROFILE_BINS = np.linspace(0.1, 1.75, 18)
 #: At its edge a groove turns by at least this, and its walls bend back by at most this fraction of it: the hollow
 #: between two round bodies has no edges. The surface beside it is nearly level.
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
+#: A side bends on where a wall and a surface that meet at an edge between these distances from the root, in half widths,
+#: leave more than this fraction of what an arc leaves, over the whole side as over its outer part; what they leave is so
+#: many times the medians' own noise. It is no groove's side where they leave this fraction of the depth.
+EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35), 0.85
+MIN_MISFIT_NOISE, MAX_MISFIT = 2.0, 0.25
 #: A wall is upright whose edge lies within this fraction of the width from the root.
-UPRIGHT = 0.22
+UPRIGHT = 0.15
 #: So many points of the cloud show the edges; multiples of the golden ratio are spread evenly and hit no period.
 PROFILE_POINTS, GOLDEN = 12_000, (np.sqrt(5) - 1) / 2
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
@@ -102,10 +108,13 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
         if np.median(np.abs(side) / groove.width_mm) < UPRIGHT:
             found.append(True)
             continue
-        slopes = _slopes_deg(place / side[station], height, float(np.median(np.abs(side))))
+        half = float(np.median(np.abs(side)))
+        profile, noise = _median_profile(place / side[station], height)
+        slopes = _slopes_deg(profile, half)
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
-        is_edge = bool(turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG)
-        found.append(is_edge if np.isfinite(slopes).all() else None)
+        is_edge = turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG
+        is_edge = is_edge and not _bends(profile, noise, float(np.median(groove.depth_mm)))
+        found.append(bool(is_edge) if np.isfinite(slopes).all() else None)
     return found[0], found[1]
 
 
@@ -114,15 +123,46 @@ def _scattered(count: int, some: int) -> NDArray[np.int64]:
     return (np.arange(some) * GOLDEN % 1.0 * count).astype(np.int64)
 
 
-def _slopes_deg(place: Floats, height: Floats, half_mm: float) -> Floats:
-    """Slopes (3,) of inner wall, outer wall and surface of points at ``place`` (N,), in half widths from the root."""
+def _median_profile(place: Floats, height: Floats) -> tuple[Floats, float]:
+    """Median places and heights (B, 2) of points at ``place`` (N,), in half widths from the root, and the heights' noise.
+
+    Each bin has its own place: the rows of a sparse scan do not lie in the middles of the bins.
+    """
     number = np.digitize(place, PROFILE_BINS) - 1
-    bins = [number == b for b in range(len(PROFILE_BINS) - 1)]
-    # Each with its own place: the rows of a sparse scan do not lie in the middles of the bins.
-    profile = np.array([[np.median(place[b]), np.median(height[b])] for b in bins if b.sum() > 5]).reshape(-1, 2)
+    bins = [np.flatnonzero(number == b) for b in range(len(PROFILE_BINS) - 1)]
+    bins = [here for here in bins if len(here) > 5]
+    if not bins:
+        return np.empty((0, 2)), 0.0
+    profile = np.array([[np.median(place[here]), np.median(height[here])] for here in bins])
+    scatter = [np.median(np.abs(height[here] - middle)) for here, middle in zip(bins, profile[:, 1], strict=True)]
+    return profile, float(np.median([MAD_TO_STD * off / np.sqrt(len(here)) for off, here in zip(scatter, bins, strict=True)]))
+
+
+def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
+    """Slopes (3,) of inner wall, outer wall and surface in a profile (B, 2) of places in half widths and heights."""
     slopes = np.full(3, np.nan)
     for row, (low, high) in enumerate((INNER_WALL, OUTER_WALL, BESIDE)):
         part = profile[(profile[:, 0] > low) & (profile[:, 0] < high)]
         if len(part) > 1:
             slopes[row] = np.degrees(np.arctan(np.polyfit(part[:, 0] * half_mm, part[:, 1], 1)[0]))
     return slopes
+
+
+def _bends(profile: Floats, noise_mm: float, depth_mm: float) -> bool:
+    """Whether a profile (B, 2) is an arc as well as a wall and a surface that meet at an edge, or neither."""
+    edged = []
+    for start in SIDE_STARTS:
+        place, height = profile[profile[:, 0] > start].T
+        if len(place) < 7:
+            return False
+        line = np.column_stack([np.ones_like(place), place])
+        edge = min(_misfit(np.column_stack([line, np.maximum(place - at, 0)]), height) for at in EDGE_PLACES)
+        if edge > MAX_MISFIT * depth_mm:
+            return True
+        arc = _misfit(np.column_stack([line, place**2]), height)
+        edged.append(edge < max(ARC_FRACTION * arc, MIN_MISFIT_NOISE * noise_mm))
+    return not any(edged)
+
+
+def _misfit(columns: Floats, height: Floats) -> float:
+    return float(np.sqrt(np.mean((height - columns @ np.linalg.lstsq(columns, height, rcond=None)[0]) ** 2)))

@@ -27,6 +27,8 @@ Flags = NDArray[np.bool_]
 MIN_PASSES, MAX_PASSES = 4, 14
 #: The points around the curve are gathered anew after so many passes, so many cells to all sides.
 NEAR_PASSES, NEAR_CELLS = 3, 21.0
+#: While a seam grows its line is stiffer, in cells, so that what bends an end does not lead it astray.
+GROWING_CELLS = 2.0
 #: A rough line is given up where its faces turn by less after the first passes.
 HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
@@ -123,10 +125,11 @@ def fit_joint(
             result = _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale)
             return replace(result, members=members[result.members])
         weight = np.where(shown, 1.0, 0.0)
-        lateral = [smooth_along(displacement[:, k], weight, scale.cell, step, robust=True) for k in range(2)]
+        stiffness = (GROWING_CELLS if growing else 1.0) * scale.cell
+        lateral = [smooth_along(displacement[:, k], weight, stiffness, step, robust=True) for k in range(2)]
         stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
         turned = [smooth_along(root_normals(faces, slopes)[k], weight, 2 * scale.cell, step) for k in range(2)]
-        curve = _smooth(curve, scale.cell / 2, stations, unit_vectors(turned[0] + turned[1]))
+        curve = _smooth(curve, stiffness / 2, stations, unit_vectors(turned[0] + turned[1]))
         place = cKDTree(stations).query(curve.stations)[1]
         faces = faces_beside(curve, turned[0][place], turned[1][place], concave)
     return None

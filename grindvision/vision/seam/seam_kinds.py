@@ -31,18 +31,22 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A corner turns by at least this angle, and by so many standard deviations of it; an outside corner by more.
-MIN_DIHEDRAL_RAD, MIN_DIHEDRAL_SIGMAS, MIN_OUTSIDE_RAD = np.radians(15.0), 6.0, np.radians(40.0)
+MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 12.0, np.radians(40.0)
+#: Stations so many cells apart are fitted to other points.
+WINDOW_CELLS = 2.4
 #: Where less than this fraction of the turn is there close to the root, a bend is ruled out by such a turn only.
 MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
+#: With coarse cells, in which a bend looks sharper than it is, a corner turns by at least this.
+MIN_COARSE_RAD = np.radians(28.0)
 #: One surface bends where next to nothing of the turn is there close to the root, and a face bends the same way by so
 #: much, rad, over a cell. A bead hides the corner too, but the faces beside it are flat, and those of tubes bend away.
 MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
-MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.2, 0.08
+MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.25, 0.08
 #: Faces are seen for so many cells at least; an outside corner, which every edge of a body is, for so many.
 MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
-#: A wall up to this height may be the edge of a plate that lies on another.
-MAX_PLATE_MM = 25.0
+#: A wall up to this height, and this near to upright, may be the edge of a plate that lies on another.
+MAX_PLATE_MM, MAX_LEAN_RAD = 25.0, np.radians(35.0)
 #: A step stands out by so many deviations; two levels closer than this fraction of the gap are the two sides of a butt.
 MIN_STEP_DEVIATIONS = 8.0
 #: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
@@ -56,15 +60,16 @@ U_FLOOR, BEVEL_SKEW = 0.3, 0.22
 def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     """Whether a fitted corner is one: turned enough for its noise, long enough, with faces on both sides.
 
-    With ``coarse`` cells a bend of the surface looks like a corner: then it has to turn by more.
+    A corner that is not sharp, or found with ``coarse`` cells, may be a bend of the surface: it has to turn by more.
     """
     shown = fit.shown
-    turn, sigma = np.median(fit.dihedral_rad[shown]), np.median(fit.dihedral_sigma_rad[shown])
-    strongest = np.percentile(fit.dihedral_rad[shown], 80)
-    least = MIN_DIHEDRAL_RAD if concave else MIN_OUTSIDE_RAD
-    if coarse or fit.sharpness < MIN_SHARPNESS:
+    strongest = np.percentile(fit.turn_rad[shown], 80)
+    least = MIN_TURN_RAD if concave else MIN_OUTSIDE_RAD
+    if fit.sharpness < MIN_SHARPNESS:
         least = max(least, MIN_ROUNDED_RAD)
-    if strongest < least or turn < MIN_DIHEDRAL_SIGMAS * sigma:
+    elif coarse:
+        least = max(least, MIN_COARSE_RAD)
+    if strongest < least or turn_deviations(fit, scale.cell) < MIN_TURN_DEVIATIONS:
         return False
     bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
     if fit.sharpness < MIN_ANY_SHARPNESS and bend > ONE_BEND_RAD:
@@ -78,6 +83,13 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     if not concave:
         min_leg = max(MIN_OUTSIDE_CELLS * scale.cell, MIN_OUTSIDE_MM)
     return bool(legs.min() > min_leg)
+
+
+def turn_deviations(fit: JointFit, cell_mm: float) -> float:
+    """By how many standard deviations the faces turn: stations farther apart than their windows are independent."""
+    windows = max(fit.length_mm / (WINDOW_CELLS * cell_mm), 1.0)
+    sigma = max(float(np.median(fit.turn_sigma_rad[fit.shown])), 1e-9)
+    return float(np.median(fit.turn_rad[fit.shown]) * np.sqrt(windows) / sigma)
 
 
 def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool, towards: Floats | None) -> Seam:
@@ -112,6 +124,7 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         fit.members,
         _interruptions(fit.shown, fit.curve.step_mm),
         fit.closed,
+        deviations=turn_deviations(fit, surfels.grid.size_mm),
     )
 
 
@@ -125,12 +138,15 @@ def _concave_kind(
         return SADDLE, words
     if names == [CYLINDER, PLANE] and not straight:
         return TUBE_ON_PLATE, words
+    if PLANE not in names and all(shape.bulges for shape in shapes):
+        return SADDLE, f"{words}; both bend away from it, as tubes do"
     if fit.closed and CYLINDER in names:
         return TUBE_ON_PLATE, f"{words}, all round"
     around = surroundings(fit, *scene)
     legs = np.median(fit.legs_mm[:, fit.shown], axis=1)
+    upright = abs(float(np.median(fit.turn_rad[fit.shown])) - np.pi / 2) < MAX_LEAN_RAD
     for side in range(2):
-        if around.parallel_above[side] and legs[1 - side] < MAX_PLATE_MM:
+        if upright and around.parallel_above[side] and legs[1 - side] < MAX_PLATE_MM:
             return LAP, f"{words}; the wall of {legs[1 - side]:.1f} mm ends in a surface parallel to the other face"
     if any(around.goes_on):
         return T_JOINT, f"{words}; one of them goes on behind the other"

@@ -24,6 +24,7 @@ from grindvision.vision.seam.groove_diagnostics import (
     MIN_BOTH_SIDES,
     MIN_WALL_FRACTION,
     bends_on,
+    edges_of_sides,
     has_edges,
     wall_fraction,
 )
@@ -41,6 +42,8 @@ Flags = NDArray[np.bool_]
 BEVEL_ASPECT, BEVEL_FRACTION = 6.0, 0.15
 #: Seams shorter than this fraction of the longest are named with the less certain ones.
 SHORT = 0.2
+#: So are corners whose turn stands out by fewer standard deviations than this and than this fraction of the surest's.
+SURE_DEVIATIONS, SURE_FRACTION = 30.0, 0.5
 #: A groove whose surface is seen on both sides along less than this fraction may be a corner between two bodies.
 CORNER_RATHER = 0.5
 
@@ -130,11 +133,13 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
             others = surface_seams(cloud, sides[0][0], facing, spacing, groove_seams, wanted)
             if others:
                 break
-    groove_seams += [groove_seam(groove) for groove in doubtful if not _is_corner(groove, others, cloud)]
+    hollows = [groove for groove in doubtful if joint != "groove" and bends_on(groove, cloud)]
+    doubtful = [groove for groove in doubtful if groove not in hollows and not _is_corner(groove, others, cloud)]
+    groove_seams += [groove_seam(groove) for groove in doubtful]
     others = [seam for seam in others if not runs_along(seam.root, groove_seams)]
     classes = _classes([*groove_seams, *others], wanted)
     if not classes:
-        raise NoGrooveError(_nothing(len(cloud), spacing, joint, [*groove_seams, *others]))
+        raise NoGrooveError(_nothing(len(cloud), spacing, joint, [*groove_seams, *others], hollows))
     at = np.flatnonzero(valid)
     rank = np.full(len(valid), -1)
     seams = [replace(seam, members=at[seam.members]) for seam in classes[0]]
@@ -178,10 +183,12 @@ def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Itera
 def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> bool:
     """Whether a doubtful groove is better explained by one of the other seams, which runs within it.
 
-    A hollow whose walls bend on is explained by any corner of the scene.
+    One whose edges are not seen to turn on either side is explained by any corner of the scene.
     """
-    if any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others) and bends_on(groove, cloud):
+    edges = edges_of_sides(groove, cloud)
+    if True not in edges and any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others):
         return True
+    unsure = groove.edges_seen < CORNER_RATHER or edges != (True, True)
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
         away = cKDTree(seam.root).query(groove.root)[0]
@@ -190,7 +197,7 @@ def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> boo
         longer = seam.kind in FAMILIES["tube"] or np.median(seam.legs_mm, axis=1).max() > 1.3 * np.hypot(
             width / 2, depth
         )
-        if meets and ((groove.edges_seen < CORNER_RATHER and longer) or seam.kind == BUTT):
+        if meets and ((unsure and longer) or seam.kind == BUTT):
             return True
     return False
 
@@ -206,18 +213,32 @@ def _classes(seams: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
     )
     if groups[0]:
         least = SHORT * max(seam.length_mm for seam in groups[0])
-        groups[1] += [seam for seam in groups[0] if not seam.groove and seam.length_mm < least]
-        groups[0] = [seam for seam in groups[0] if seam.groove or seam.length_mm >= least]
+        surest = max(seam.deviations for seam in groups[0])
+        weak = [
+            seam
+            for seam in groups[0]
+            if not seam.groove
+            and (seam.length_mm < least or (seam.deviations < min(SURE_DEVIATIONS, SURE_FRACTION * surest)))
+        ]
+        groups[1] += weak
+        groups[0] = [seam for seam in groups[0] if seam not in weak]
     for group in groups[1:]:
         group.sort(key=lambda seam: (seam.kind != BUTT, -seam.length_mm))
     return [group for group in groups if group]
 
 
-def _nothing(count: int, spacing: float, joint: str, others: list[Seam]) -> str:
+def _nothing(count: int, spacing: float, joint: str, others: list[Seam], hollows: list[DetectedGroove]) -> str:
     """Why there is no seam, and what the scan could have shown."""
     if others:
         seen = "; ".join(map(str, others))
         return f"no {joint} in the cloud, but {seen}; leave out --joint to take these"
+    if hollows:
+        sizes = ", ".join(f"{np.median(hollow.width_mm):.3g} mm wide" for hollow in hollows)
+        return (
+            f"no seam in the cloud, but a hollow ({sizes}) whose sides bend on instead of ending at edges, like the one"
+            " between two tubes: look at it with --joint groove if it is a worn groove, else scan the corner from where"
+            " both its faces are seen"
+        )
     what = "no groove in the cloud, nor another seam" if joint == "any" else f"no {joint} in the cloud"
     return (
         f"{what} ({count:,} points, {spacing:.2g} mm apart): no place where two surfaces meet or part"

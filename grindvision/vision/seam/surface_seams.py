@@ -6,6 +6,8 @@ named. Where these show nothing, narrow gaps are looked for.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -13,6 +15,7 @@ from scipy.spatial import cKDTree
 from grindvision.geometry import inverse, rotate_vectors
 from grindvision.geometry.bounds import diagonal_mm
 from grindvision.vision.seam.face_fit import Scale
+from grindvision.vision.seam.face_shapes import face_shapes
 from grindvision.vision.seam.gap_lines import find_gaps
 from grindvision.vision.seam.joint_fit import JointFit, fit_joint
 from grindvision.vision.seam.joint_names import BUTT, LAP, OUTSIDE
@@ -110,7 +113,12 @@ def _corners(
         at = tree.query(curve)[1]
         sides = _consistent(pairs.first[at], pairs.second[at])
         fit = fit_joint(cloud, curve, sides, concave, scale)
-        if fit is None or not plausible(fit, scale, concave, coarse):
+        if fit is None:
+            continue
+        if concave and fit.sharpness < 1 and all(shape.bulges for shape in face_shapes(fit, *scene[:2])):
+            # Tubes bend away from their corner; one surface that is bent into a corner does not.
+            fit = replace(fit, sharpness=1.0)
+        if not plausible(fit, scale, concave, coarse):
             continue
         seam = corner_seam(fit, *scene[:2], concave, scene[2])
         if seam.kind == LAP:
