@@ -25,9 +25,9 @@ PROFILE_BINS = np.linspace(0.1, 1.75, 18)
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
 #: A side bends on where a wall and a surface that meet at an edge between these distances from the root, in half widths,
 #: leave more than this fraction of what an arc leaves, over the whole side as over its outer part; what they leave is so
-#: many times the medians' own noise. It is no groove's side where they leave this fraction of the depth.
+#: many times the medians' own noise.
 EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35), 0.85
-MIN_MISFIT_NOISE, MAX_MISFIT = 2.0, 0.25
+MIN_MISFIT_NOISE = 2.0
 #: A wall is upright whose edge lies within this fraction of the width from the root.
 UPRIGHT = 0.15
 #: So many points of the cloud show the edges; multiples of the golden ratio are spread evenly and hit no period.
@@ -83,8 +83,11 @@ def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
 
 
 def bends_on(groove: DetectedGroove, cloud: Floats) -> bool:
-    """Whether a wall is seen to bend on and on instead of ending at an edge: the hollow where two tubes meet."""
-    return False in edges_of_sides(groove, cloud)
+    """Whether a wall is seen to bend on and on instead of ending at an edge: the hollow where two tubes meet.
+
+    Walls that nobody saw, as of a gap between two things, say nothing.
+    """
+    return wall_fraction(groove, cloud) >= MIN_WALL_FRACTION and False in edges_of_sides(groove, cloud)
 
 
 def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, bool | None]:
@@ -113,7 +116,7 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
         slopes = _slopes_deg(profile, half)
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
         is_edge = turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG
-        is_edge = is_edge and not _bends(profile, noise, float(np.median(groove.depth_mm)))
+        is_edge = is_edge and not _bends(profile, noise)
         found.append(bool(is_edge) if np.isfinite(slopes).all() else None)
     return found[0], found[1]
 
@@ -135,7 +138,9 @@ def _median_profile(place: Floats, height: Floats) -> tuple[Floats, float]:
         return np.empty((0, 2)), 0.0
     profile = np.array([[np.median(place[here]), np.median(height[here])] for here in bins])
     scatter = [np.median(np.abs(height[here] - middle)) for here, middle in zip(bins, profile[:, 1], strict=True)]
-    return profile, float(np.median([MAD_TO_STD * off / np.sqrt(len(here)) for off, here in zip(scatter, bins, strict=True)]))
+    return profile, float(
+        np.median([MAD_TO_STD * off / np.sqrt(len(here)) for off, here in zip(scatter, bins, strict=True)])
+    )
 
 
 def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
@@ -148,8 +153,8 @@ def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
     return slopes
 
 
-def _bends(profile: Floats, noise_mm: float, depth_mm: float) -> bool:
-    """Whether a profile (B, 2) is an arc as well as a wall and a surface that meet at an edge, or neither."""
+def _bends(profile: Floats, noise_mm: float) -> bool:
+    """Whether a profile (B, 2) is an arc as well as a wall and a surface that meet at an edge."""
     edged = []
     for start in SIDE_STARTS:
         place, height = profile[profile[:, 0] > start].T
@@ -157,8 +162,6 @@ def _bends(profile: Floats, noise_mm: float, depth_mm: float) -> bool:
             return False
         line = np.column_stack([np.ones_like(place), place])
         edge = min(_misfit(np.column_stack([line, np.maximum(place - at, 0)]), height) for at in EDGE_PLACES)
-        if edge > MAX_MISFIT * depth_mm:
-            return True
         arc = _misfit(np.column_stack([line, place**2]), height)
         edged.append(edge < max(ARC_FRACTION * arc, MIN_MISFIT_NOISE * noise_mm))
     return not any(edged)

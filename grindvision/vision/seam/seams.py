@@ -185,10 +185,11 @@ def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> boo
 
     One whose edges are not seen to turn on either side is explained by any corner of the scene.
     """
+    walls_seen = wall_fraction(groove, cloud) >= MIN_WALL_FRACTION
     edges = edges_of_sides(groove, cloud)
-    if True not in edges and any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others):
+    if walls_seen and True not in edges and any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others):
         return True
-    unsure = groove.edges_seen < CORNER_RATHER or edges != (True, True)
+    unsure = groove.edges_seen < CORNER_RATHER or (walls_seen and edges != (True, True))
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
         away = cKDTree(seam.root).query(groove.root)[0]
