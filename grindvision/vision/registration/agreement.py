@@ -29,7 +29,7 @@ class Agreement:
 
     @property
     def fraction_of_overlap(self) -> float:
-        """Fraction of the overlap that agrees."""
+        """Agreeing share of the overlap."""
         return self.agreeing / self.overlap if self.overlap > 0 else 0.0
 
     @property

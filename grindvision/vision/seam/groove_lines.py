@@ -63,8 +63,8 @@ class DetectedGroove:
     standard deviation of the root across the seam. ``edges_seen`` is the fraction of stations with surface on both
     sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
-    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the
-    width a flat or rounded root takes.
+    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the width a
+    flat or rounded root takes.
     """
 
     members: Integers
@@ -193,7 +193,7 @@ def _oblique_ends(place: Floats, between: Flags, fits: Flags, run: tuple[int, in
     return beyond
 
 
-def _floor_share(corners: Corners, width: float) -> float:
+def _floor_fraction(corners: Corners, width: float) -> float:
     """How much of a groove's width its flat or rounded root takes; 0 for a sharp one."""
     return 2 * max(corners.floor_mm, corners.root_mm if corners.root_mm > 2 * SHARP * width else 0.0) / width
 

@@ -32,7 +32,7 @@ GROWING_CELLS = 2.0
 #: A rough line is given up where its faces turn by less after the first passes.
 HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
-MIN_SHOWN_TURN_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
+MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
 #: Fraction of the usual number of points near the seam below which a station does not show a face.
 MIN_COVERAGE = 0.15
 

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: A corner turns by at least this angle, and by so many standard deviations of it; an outside corner by more.
-MIN_TURN_RAD, MIN_TURN_DEVIATIONS, MIN_OUTSIDE_RAD = np.radians(15.0), 12.0, np.radians(40.0)
+MIN_DIHEDRAL_RAD, MIN_DIHEDRAL_SIGMAS, MIN_OUTSIDE_RAD = np.radians(15.0), 12.0, np.radians(40.0)
 #: Stations so many cells apart are fitted to other points.
 WINDOW_CELLS = 2.4
 #: Where less than this fraction of the turn is there close to the root, a bend is ruled out by such a turn only.
@@ -63,13 +63,13 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     A corner that is not sharp, or found with ``coarse`` cells, may be a bend of the surface: it has to turn by more.
     """
     shown = fit.shown
-    strongest = np.percentile(fit.turn_rad[shown], 80)
-    least = MIN_TURN_RAD if concave else MIN_OUTSIDE_RAD
+    strongest = np.percentile(fit.dihedral_rad[shown], 80)
+    least = MIN_DIHEDRAL_RAD if concave else MIN_OUTSIDE_RAD
     if fit.sharpness < MIN_SHARPNESS:
         least = max(least, MIN_ROUNDED_RAD)
     elif coarse:
         least = max(least, MIN_COARSE_RAD)
-    if strongest < least or turn_deviations(fit, scale.cell) < MIN_TURN_DEVIATIONS:
+    if strongest < least or turn_deviations(fit, scale.cell) < MIN_DIHEDRAL_SIGMAS:
         return False
     bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
     if fit.sharpness < MIN_ANY_SHARPNESS and bend > ONE_BEND_RAD:
@@ -88,8 +88,8 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
 def turn_deviations(fit: JointFit, cell_mm: float) -> float:
     """By how many standard deviations the faces turn: stations farther apart than their windows are independent."""
     windows = max(fit.length_mm / (WINDOW_CELLS * cell_mm), 1.0)
-    sigma = max(float(np.median(fit.turn_sigma_rad[fit.shown])), 1e-9)
-    return float(np.median(fit.turn_rad[fit.shown]) * np.sqrt(windows) / sigma)
+    sigma = max(float(np.median(fit.dihedral_sigma_rad[fit.shown])), 1e-9)
+    return float(np.median(fit.dihedral_rad[fit.shown]) * np.sqrt(windows) / sigma)
 
 
 def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool, towards: Floats | None) -> Seam:
@@ -144,7 +144,7 @@ def _concave_kind(
         return TUBE_ON_PLATE, f"{words}, all round"
     around = surroundings(fit, *scene)
     legs = np.median(fit.legs_mm[:, fit.shown], axis=1)
-    upright = abs(float(np.median(fit.turn_rad[fit.shown])) - np.pi / 2) < MAX_LEAN_RAD
+    upright = abs(float(np.median(fit.dihedral_rad[fit.shown])) - np.pi / 2) < MAX_LEAN_RAD
     for side in range(2):
         if upright and around.parallel_above[side] and legs[1 - side] < MAX_PLATE_MM:
             return LAP, f"{words}; the wall of {legs[1 - side]:.1f} mm ends in a surface parallel to the other face"
