@@ -88,6 +88,9 @@ class Difference:
     comparable: Flags
     cell_mm: float
 
+    least_height_mm = renamed_property("least_height_mm", "min_height_mm")
+    least_width_mm = renamed_property("least_width_mm", "min_width_mm")
+
     @property
     def min_height_mm(self) -> Floats:
         """Height (M,) in mm from which a bead is certain to be told at each surfel; infinite where nothing would be."""

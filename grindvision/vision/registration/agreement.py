@@ -29,7 +29,7 @@ class Agreement:
 
     @property
     def fraction_of_overlap(self) -> float:
-        """Agreeing share of the overlap."""
+        """Fraction of the overlap that agrees."""
         return self.agreeing / self.overlap if self.overlap > 0 else 0.0
 
     @property

@@ -58,11 +58,8 @@ def propose_poses(
     extent = float(np.linalg.norm(np.ptp(target.points, axis=0)))
     centre = source.points.mean(axis=0)
     # the short round draws from a stream of its own: where it decides nothing, all goes on as if it had not been
-    for (queries, batch, batches, enough), draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
-        chosen = _distinctive(source.features, queries, draws)
-        poses, fractions, clear = _sampled(
-            source, target, chosen, draws, batch, batches, enough, similar, centre, extent
-        )
+    for asked, draws in zip(ROUNDS, (rng.spawn(1)[0], rng), strict=True):
+        poses, fractions, clear = _sampled(source, target, draws, asked, similar, centre, extent)
         if clear:
             break
     if len(poses) == 0:
@@ -94,7 +91,7 @@ def _sampled(
     part = tuple(column[: len(chosen) // 4 * similar] for column in matches)
     spacing = max(source.spacing_mm, target.spacing_mm)
     poses, fractions = np.empty((0, 4, 4)), np.empty(0)
-    for _ in range(batches):
+    for _ in range(asked.batches):
         first, second = _agreeing_pairs(
             *matches,
             rng.integers(len(s), size=(asked.batch, 2)),
@@ -109,7 +106,7 @@ def _sampled(
         order = np.argsort(-fractions, kind="stable")
         poses, fractions = poses[order], fractions[order]
         _, best = distinct_poses(poses, fractions, centre, 0.15 * extent, np.radians(20), 2)
-        if len(best) and best[0] > max(enough, 1.5 * best[1:].sum()):
+        if len(best) and best[0] > max(asked.enough, 1.5 * best[1:].sum()):
             return poses, fractions, True
     return poses, fractions, False
 

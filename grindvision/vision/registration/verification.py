@@ -119,9 +119,9 @@ def _check_fit(judge: PoseJudge, best: Candidate) -> None:
     least = min(max(MIN_AGREEMENT, 0.5 + MIN_SCORE / (2 * max(found.overlap, 1e-9))), 1.0)
     if found.overlap < MIN_OVERLAP or found.fraction_of_overlap < least:
         raise DegenerateError(
-            f"the two scans do not fit: at the best pose {found.overlap:.0%} overlap and {found.fraction_of_overlap:.0%} of that"
-            f" agrees within {judge.within_mm:.2g} mm (at least {MIN_OVERLAP:.0%} and {least:.0%} needed);"
-            " are they scans of the same part, from nearby views?"
+            f"the two scans do not fit: at the best pose {found.overlap:.0%} overlap and"
+            f" {found.fraction_of_overlap:.0%} of that agrees within {judge.within_mm:.2g} mm"
+            f" (at least {MIN_OVERLAP:.0%} and {least:.0%} needed); are they scans of the same part, from nearby views?"
         )
 
 
@@ -148,8 +148,9 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
         (unresisted.size > 0 or confidence < MIN_CONFIDENCE) and found.fraction_of_overlap < TRUE_AGREEMENT
     ):
         raise DegenerateError(
-            f"the two scans do not fit: of what both scanners could see, {found.overlap:.0%}, {found.fraction_of_overlap:.0%}"
-            " agrees: this may be chance; are they scans of the same part, from nearby views?"
+            f"the two scans do not fit: of what both scanners could see, {found.overlap:.0%},"
+            f" {found.fraction_of_overlap:.0%} agrees: this may be chance;"
+            " are they scans of the same part, from nearby views?"
         )
     if unresisted.size:
         raise AmbiguousError(_free_motion(judge, best, unresisted))

@@ -23,9 +23,9 @@ PROFILE_BINS = np.linspace(0.1, 1.75, 18)
 #: At its edge a groove turns by at least this, and its walls bend back by at most this fraction of it: the hollow
 #: between two round bodies has no edges. The surface beside it is nearly level.
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
-#: A side bends on where a wall and a surface that meet at an edge between these distances from the root, in half widths,
-#: leave more than this fraction of what an arc leaves, over the whole side as over its outer part; what they leave is so
-#: many times the medians' own noise.
+#: A side bends on where a wall and a surface that meet at an edge (at these distances from the root, in half widths)
+#: leave more than this fraction of what an arc leaves, over the whole side as over its outer part, and so many times
+#: the medians' own noise.
 EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35), 0.85
 MIN_MISFIT_NOISE = 2.0
 #: A wall is upright whose edge lies within this fraction of the width from the root.
@@ -127,9 +127,9 @@ def _scattered(count: int, some: int) -> NDArray[np.int64]:
 
 
 def _median_profile(place: Floats, height: Floats) -> tuple[Floats, float]:
-    """Median places and heights (B, 2) of points at ``place`` (N,), in half widths from the root, and the heights' noise.
+    """Median places and heights (B, 2) of points at ``place`` (N,), and the noise of the median heights.
 
-    Each bin has its own place: the rows of a sparse scan do not lie in the middles of the bins.
+    Places are in half widths from the root. Each bin has its own: the rows of a sparse scan do not lie in the middles.
     """
     number = np.digitize(place, PROFILE_BINS) - 1
     bins = [np.flatnonzero(number == b) for b in range(len(PROFILE_BINS) - 1)]

@@ -63,8 +63,8 @@ class DetectedGroove:
     standard deviation of the root across the seam. ``edges_seen`` is the fraction of stations with surface on both
     sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
-    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the width a
-    flat or rounded root takes.
+    A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the
+    width a flat or rounded root takes.
     """
 
     members: Integers

@@ -37,8 +37,8 @@ class Seam:
     the angle of the air between them with ``opening_sigma_deg``; ``legs_mm`` (2, S) how far each face was followed.
     ``toes`` (2, S, 3) are where the joint ends on both sides: a groove's edges, a gap's edges, else the root.
     ``gap_mm`` and ``step_mm`` (S,) are the gap and the misalignment (hi-lo, or the step of a lap) with their standard
-    deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it. ``deviations`` is by how
-    many standard deviations the faces of a corner turn, judged over its whole length.
+    deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it. ``deviations`` is by
+    how many standard deviations the faces of a corner turn, judged over its whole length.
     """
 
     kind: str

@@ -55,11 +55,10 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     """Smooth values (S,) as stiffly as their own noise asks for; returns them and the length (mm) that was taken.
 
     Cross-validation by stretches: in turns, stretches of ``GAP`` stations here and there are left out and bridged by
-    the curve through the others; the length taken is the largest whose curves come as near to the middles of the gaps as
-    the nearest ones, within a standard error. A
-    curve that follows the noise predicts badly, and so does one too stiff for the seam. Stretches, not single
-    stations, because noise is alike on neighbouring stations and would be taken for the seam. Values far off do not
-    count.
+    the curve through the others; the length taken is the largest whose curves come as near to the middles of the gaps
+    as the nearest ones, within a standard error. A curve that follows the noise predicts badly, and so does one too
+    stiff for the seam. Stretches, not single stations, because noise is alike on neighbouring stations and would be
+    taken for the seam. Values far off do not count.
 
     Args:
         values: (S,), one per station.

@@ -33,9 +33,9 @@ class SurfacePairs:
     """Places (K, 3) in mm where two surfaces meet, on the line in which their planes intersect.
 
     ``kind`` (K,) is one of ``CONCAVE``, ``CONVEX``, ``STEP``; ``along`` (K, 3) the unit direction of the line, of any
-    sign; ``first`` and ``second`` (K, 3) the two unit normals, facing the scanner; ``dihedral_rad`` (K,) the angle between
-    them; ``step_mm`` (K,) the height of a step, whose ``first`` holds the unit direction from the upper surface to the
-    lower one across the line.
+    sign; ``first`` and ``second`` (K, 3) the two unit normals, facing the scanner; ``dihedral_rad`` (K,) the angle
+    between them; ``step_mm`` (K,) the height of a step, whose ``first`` holds the unit direction from the upper surface
+    to the lower one across the line.
     """
 
     places: Floats
