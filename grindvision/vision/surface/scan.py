@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.geometry import inverse, move_points
 from grindvision.geometry.hash_grid import build_cells, neighbour_counts
 from grindvision.geometry.neighbours import nearest
+from grindvision.geometry.point_order import in_order
 from grindvision.parallel import parallel_map
 from grindvision.records import by_content
 from grindvision.vision.surface.fpfh import compute_fpfh, mirrored_fpfh
@@ -48,7 +49,7 @@ class Resolution:
 @by_content
 @dataclass(frozen=True)
 class Scan:
-    """A scan (N, 3) in its scanner's frame with what the stages need.
+    """A scan (N, 3) in its scanner's frame with what the stages need; its points stand in the order of ``in_order``.
 
     ``viewpoint_mm`` (3,) is the scanner, None where it is not known; then the side the normals point to is a guess.
     ``surfels`` are fine, ``voxels`` coarse; ``features`` (M, 33) are the voxels' FPFH, (M, 0) where left out;
@@ -106,7 +107,7 @@ def prepare_scan(
         viewpoint_mm: the scanner (3,) in the frame of the points; guessed when left out (``guess_viewpoint``).
         feature_voxels: FPFH radius in voxels; None leaves the histograms out, for a scan whose pose is known.
     """
-    points = np.asarray(points, dtype=float)
+    points = in_order(np.asarray(points, dtype=float))
     fine = build_surfels(points, resolution.surfel_mm)
     viewpoint = guess_viewpoint(fine.points, fine.normals) if viewpoint_mm is None else np.asarray(viewpoint_mm, float)
     coarse = build_surfels(fine.points, resolution.voxel_mm)
