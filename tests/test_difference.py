@@ -19,9 +19,10 @@ from grindvision.geometry import (
     vector_angle,
 )
 from grindvision.vision.change.centreline import bead_centreline
-from grindvision.vision.change.change_detection import Cluster, find_change, find_change_paper
+from grindvision.vision.change.change_detection import find_change, find_change_paper
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.vision.change.oriented_box import box_path, minimal_box
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import trace_bead
 from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import build_surfels

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, NoPathError
 from grindvision.geometry import random_rotation
-from grindvision.vision.change.change_detection import Cluster
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import lies_on, trace_bead
 
 

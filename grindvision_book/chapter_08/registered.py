@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from grindvision.cell import Scan
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse
-from grindvision.vision.change.change_detection import Cluster, find_change
+from grindvision.vision.change.change_detection import find_change
 from grindvision.vision.change.oriented_box import BoxPath
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.scan_registration import propose, refine
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose

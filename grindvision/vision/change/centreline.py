@@ -13,7 +13,7 @@ from grindvision.errors import DegenerateError, TooSmallError
 from grindvision.geometry.graphs import walking_distances
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import Neighbourhoods, within_radius
-from grindvision.vision.change.change_detection import Cluster
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.surface.clustering import euclidean_clusters
 
 Floats = NDArray[np.float64]

@@ -17,15 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, inverse, move_points, rotate_vectors
-from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
+from grindvision.geometry.hash_grid import build_cells
 from grindvision.geometry.neighbours import nearest, within_radius
-from grindvision.kernels import njit
 from grindvision.lazy import renamed_property
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.change.visibility import in_front, surrounded
+from grindvision.vision.change.pieces import Cluster, Speck, Standing, find_pieces
+from grindvision.vision.change.visibility import in_free_space, in_front, surrounded
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.surface.clustering import euclidean_clusters
 from grindvision.vision.surface.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import Surfels
@@ -41,30 +40,9 @@ MIN_LEVELS = 4.0
 """A bead is told when it stands twice the firm level out over enough surfels; the mean of a cell is lower than its
 ridge."""
 
-MIN_FOOTPRINT = 0.4
-"""A piece whose feet cover fewer cells of the good surface than this fraction of its own is a wall seen in one scan."""
-
-
-@by_content
-@dataclass(frozen=True)
-class Cluster:
-    """One connected piece of difference, in the frame of the test scan.
-
-    ``points`` (N, 3) of the test scan, ``signed_mm`` (N,) above the good surface, whose unit ``normals`` (N, 3) are
-    given beside; ``spacing_mm``: the cell size at which it was found; ``area_mm2``, ``volume_mm3``, ``peak_mm``.
-    """
-
-    points: Floats
-    signed_mm: Floats
-    normals: Floats
-    spacing_mm: float
-    area_mm2: float
-    volume_mm3: float
-    peak_mm: float
-
-    def __str__(self) -> str:
-        size = f"{self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
-        return f"{len(self.points):,} points, {size}"
+FREE_CELLS, REACH_CELLS = 1.0, 20.0
+"""Nearer to the sample's surfels than so many cells a point may be of the same surface, and no ray tells; farther than
+the second, it belongs to nothing that the sample shows."""
 
 
 @by_content
@@ -76,7 +54,7 @@ class Difference:
     positive where the test part stands out, NaN where the sample shows nothing to compare with; ``level_mm`` (M,) level
     of detection; ``level_of_detection_mm`` its median; ``firm_level_mm`` (M,) the level without the roughness that only
     the test part has; ``comparable`` (M,) where a bead would be told: the sample shows its surface all around;
-    ``cell_mm`` the surfels' size.
+    ``cell_mm`` the surfels' size; ``specks`` stand out, too, but are too small for a piece.
     """
 
     clusters: tuple[Cluster, ...]
@@ -87,6 +65,7 @@ class Difference:
     firm_level_mm: Floats
     comparable: Flags
     cell_mm: float
+    specks: tuple[Speck, ...] = ()
 
     least_height_mm = renamed_property("least_height_mm", "min_height_mm")
     least_width_mm = renamed_property("least_width_mm", "min_width_mm")
@@ -199,14 +178,18 @@ def find_change(
         )
     suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
     comparable = shown & surrounded(surface, surfels.points - np.nan_to_num(signed)[:, None] * normals, normals)
+    odd = np.flatnonzero(~comparable | suspicious)
+    free, aside = _in_the_way(surface, seen_from(target, back), surfels.points, odd, signed, normals)
     candidates = comparable & (np.nan_to_num(signed) > level)
     doubtful = np.flatnonzero(candidates & suspicious)
     candidates[doubtful] = in_front(surface, seen_from(target, back), surfels.points[doubtful], size)
-    clusters = _clusters(source, surface, candidates, signed, firm, normals, min_surfels)
     # what stands out but may be a wall that the sample's scanner missed was not compared
     comparable[doubtful] = candidates[doubtful]
+    comparable |= free
+    standing = Standing(np.flatnonzero(candidates | free), free, aside, signed, normals, firm)
+    clusters, specks = find_pieces(source, surface, standing, min_surfels)
     middle = float(np.median(level[shown]))
-    return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size)
+    return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size, specks)
 
 
 def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Floats) -> Floats:
@@ -243,67 +226,22 @@ def _far_distances(target: Scan, T_source_target: Floats, points: Floats, size: 
     return np.where(shown, along, np.nan), normals[at]
 
 
-def _clusters(
-    source: Scan, surface: Surfels, candidates: Flags, signed: Floats, level: Floats, normals: Floats, min_surfels: int
-) -> tuple[Cluster, ...]:
-    chosen = np.flatnonzero(candidates)
-    if len(chosen) < min_surfels:
-        return ()
+def _in_the_way(
+    surface: Surfels, viewpoint: Floats | None, points: Floats, asked: Integers, signed: Floats, normals: Floats
+) -> tuple[Flags, Flags]:
+    """Of the ``asked`` points (N, 3) those off the surface that the sample's scanner saw through, and those of them
+    that stand aside: the surface's normals do not lead to them, and their ``signed`` and ``normals`` become the way
+    from its nearest surfel."""
     size = surface.grid.size_mm
-    places = source.surfels.points[chosen]
-    labels = euclidean_clusters(places, 2 * size)
-    number = int(labels.max()) + 1
-    strong = np.bincount(labels, signed[chosen] > 2 * level[chosen], number)
-    dense = np.bincount(labels, source.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
-    usual = np.median(source.surfels.counts)
-    pieces = []
-    volumes = np.bincount(labels, signed[chosen], number)
-    for label in np.argsort(-volumes, kind="stable"):
-        if strong[label] < min_surfels or volumes[label] < 0.05 * volumes.max() or dense[label] < 0.4 * usual:
-            continue
-        pieces.append(_piece(source, surface, chosen[labels == label], signed, normals))
-    return tuple(piece for piece in pieces if piece is not None)
-
-
-def _piece(source: Scan, surface: Surfels, members: Integers, signed: Floats, normals: Floats) -> Cluster | None:
-    """The scan's own points in the cells of a piece, with their signed distances."""
-    flags = np.zeros(len(source.surfels), dtype=bool)
-    flags[members] = True
-    points = source.points[_points_in_cells(source.points, flags, source.surfels.grid)]
-    size = surface.grid.size_mm
-    distances, up, _ = signed_distances(surface, points, 2 * size)
-    high = np.isnan(distances)
-    if high.any():
-        places = source.surfels.points[members]
-        owner = members[nearest(build_cells(places, size), points[high], 4 * size)[0]]
-        up[high] = normals[owner]
-        distances[high] = signed[owner] + ((points[high] - source.surfels.points[owner]) * normals[owner]).sum(axis=1)
-    standing = distances > 0
-    feet = points[standing] - distances[standing, None] * up[standing]
-    if len(feet) < 3 or len(build_cells(feet, size).starts) - 1 < MIN_FOOTPRINT * len(members):
-        return None
-    area = len(members) * size**2 / 1.5
-    peak = float(np.quantile(distances[standing], 0.98))
-    volume = area * float(np.mean(signed[members]))
-    return Cluster(points[standing], distances[standing], up[standing], size, area, volume, peak)
-
-
-@njit(cache=True, nogil=True)
-def _points_in_cells(points: Floats, flags: Flags, grid: CellGrid) -> Integers:
-    """Indices of the points (N, 3) that lie in the cells with a flag."""
-    table_keys, table_cells = grid.table_keys, grid.table_cells
-    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
-    found = np.empty(len(points), dtype=np.int64)
-    count = 0
-    last, wanted = np.int64(-1), np.bool_(False)
-    for p in range(len(points)):
-        i = int((points[p, 0] - origin[0]) * per_mm)
-        j = int((points[p, 1] - origin[1]) * per_mm)
-        k = int((points[p, 2] - origin[2]) * per_mm)
-        key = cell_key(i, j, k)
-        if key != last:  # neighbours in a scan's row share a cell
-            last, wanted = key, flags[table_cells[find_slot(table_keys, key)]]
-        if wanted:
-            found[count] = p
-            count += 1
-    return found[:count].copy()
+    free, aside = np.zeros((2, len(points)), dtype=bool)
+    lone = asked[nearest(surface.grid, points[asked], FREE_CELLS * size)[0] < 0]
+    lone = lone[in_free_space(surface, viewpoint, points[lone])]
+    at, away = nearest(surface.grid, points[lone], REACH_CELLS * size)
+    lone, at, away = lone[at >= 0], at[at >= 0], away[at >= 0]
+    free[lone] = True
+    astray = ~(signed[lone] > FREE_CELLS * size)
+    lone, at, away = lone[astray], at[astray], away[astray]
+    aside[lone] = True
+    signed[lone] = away
+    normals[lone] = (points[lone] - surface.points[at]) / away[:, None]
+    return free, aside

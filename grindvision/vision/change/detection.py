@@ -98,6 +98,8 @@ class Detection:
         pieces = len(self.difference.clusters)
         if pieces and not self.beads:
             return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}"
+        if self.difference.specks and not pieces:
+            return f"no path: {len(self.difference.specks)} place(s) stand out, none to be followed; {self.coverage}"
         if not pieces:
             level = f"the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
             return f"nothing to grind above {level}; {self.coverage}"
@@ -202,6 +204,12 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
         )
     if not difference.clusters and (coarse := _coarser(found, difference)):
         said.append(coarse)
+    if difference.specks:
+        said.append(
+            f"{len(difference.specks)} place(s) stand out that are too small for a path or touch nothing of the part,"
+            f" the largest {difference.specks[0]}: spatter, stray points, or a bead of which the scan shows little;"
+            " scan it more finely"
+        )
     return tuple(said)
 
 

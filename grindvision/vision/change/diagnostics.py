@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points
-from grindvision.vision.change.change_detection import Cluster, Difference, find_change
+from grindvision.vision.change.change_detection import Difference, find_change
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, diagnose_table
 from grindvision.vision.registration.relative_scale import relative_scale

@@ -20,7 +20,7 @@ from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.bead_sections import Sections, sums_of_sections
 from grindvision.vision.change.centreline import bead_centreline
-from grindvision.vision.change.change_detection import Cluster
+from grindvision.vision.change.pieces import Cluster
 
 Floats = NDArray[np.float64]
 

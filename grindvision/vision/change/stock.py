@@ -20,11 +20,12 @@ from grindvision.geometry import inverse, move_points, orthonormalised, rotate_v
 from grindvision.geometry.height_map import HeightMap
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.change.change_detection import Cluster, Difference
+from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.change.coverage import Patch
 from grindvision.vision.change.diagnostics import missing_pieces
 from grindvision.vision.change.height_maps import empty_map, flat_parts, map_frame, measure_heights
 from grindvision.vision.change.local_datum import LocalDatum, fit_datum, plane_terms
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.stock_sums import FLAT, bridged_heights, piece_sums, sampling_variance
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan, surface_in_frame

@@ -20,6 +20,11 @@ Flags = NDArray[np.bool_]
 MAX_OPEN = np.radians(130)
 """Largest sector around a foot that may be empty of sample surface; straight rims leave 180 degrees."""
 
+BEAM_CELLS, MARGIN_CELLS, MAX_EMPTY = 1.25, 0.5, 2
+"""What the sample's scanner saw within so many cells of a ray, farther than so many behind the point, tells that the
+point stands in free space, where it lies on all sides: of the eighths of the circle about the ray no more than so many
+in a row may be empty. Beside an outline half of them are."""
+
 MIN_VISIBLE = 8
 """Of the nine pixels about a doubtful point, so many must show surface behind it: at a rim it may be surface unseen."""
 
@@ -53,6 +58,27 @@ def in_front(surface: Surfels, viewpoint: Floats | None, points: Floats, size: f
             np.minimum(window, depth, out=window)
             shown += np.isfinite(depth)
     return inside & (shown >= MIN_VISIBLE) & (asked_depths < window)
+
+
+def in_free_space(surface: Surfels, viewpoint: Floats | None, points: Floats) -> Flags:
+    """Points (N, 3) that the rays of the sample's scanner passed: all it saw around them lies a cell or more behind.
+
+    Where the good part was measured nothing was there: fins, flash and burrs, whichever way their faces look.
+    """
+    if viewpoint is None or len(points) == 0:
+        return np.zeros(len(points), dtype=bool)
+    seen, asked = surface.points - viewpoint, points - viewpoint
+    depths, asked_depths = np.linalg.norm(seen, axis=1), np.linalg.norm(asked, axis=1)
+    distance = float(np.median(depths))
+    reach = BEAM_CELLS * surface.grid.size_mm
+    grid = build_cells(seen * (distance / depths)[:, None], reach)
+    ahead = asked / np.maximum(asked_depths, 1e-9)[:, None]
+    beam = within_radius(grid, distance * ahead, reach)
+    padded = np.append(depths[beam.indices], np.inf)
+    nearest_depth = np.minimum.reduceat(padded, np.minimum(beam.starts[:-1], len(padded) - 1))
+    behind = (np.diff(beam.starts) > 0) & (nearest_depth > asked_depths + MARGIN_CELLS * surface.grid.size_mm)
+    behind[behind] = _empty_octants(distance * ahead[behind], ahead[behind], reach, grid) <= MAX_EMPTY
+    return behind
 
 
 def surrounded(surface: Surfels, feet: Floats, normals: Floats) -> Flags:

@@ -1,0 +1,180 @@
+"""Connected pieces of what stands out of the good part: those that a path can follow, and specks that are too small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.geometry.hash_grid import CellGrid, build_cells, cell_key, find_slot
+from grindvision.geometry.neighbours import nearest
+from grindvision.kernels import njit
+from grindvision.records import by_content
+from grindvision.vision.surface.clustering import euclidean_clusters
+from grindvision.vision.surface.scan import Scan
+from grindvision.vision.surface.signed_distance import signed_distances
+from grindvision.vision.surface.surfels import Surfels
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+MIN_FOOTPRINT, MIN_FREE = 0.4, 0.5
+"""A piece whose feet cover fewer cells of the good surface than this fraction of its own is a wall seen in one scan,
+unless such a fraction of it stands where the sample's scanner saw through."""
+
+MIN_DENSITY = 0.4
+"""A piece whose cells hold fewer points than this fraction of the usual number is made of stray points."""
+
+MIN_VOLUME = 0.05
+"""A piece of less than this fraction of the largest one's volume is a speck."""
+
+MIN_SPECK = 4
+"""A speck stands out by twice the level of detection over so many surfels."""
+
+FLOATING_CELLS = 3.0
+"""A piece of which nothing comes nearer to the good surface than so many cells does not belong to the part."""
+
+
+@by_content
+@dataclass(frozen=True)
+class Cluster:
+    """One connected piece of difference, in the frame of the test scan.
+
+    ``points`` (N, 3) of the test scan, ``signed_mm`` (N,) above the good surface, whose unit ``normals`` (N, 3) are
+    given beside; ``spacing_mm``: the cell size at which it was found; ``area_mm2``, ``volume_mm3``, ``peak_mm``.
+    """
+
+    points: Floats
+    signed_mm: Floats
+    normals: Floats
+    spacing_mm: float
+    area_mm2: float
+    volume_mm3: float
+    peak_mm: float
+
+    def __str__(self) -> str:
+        size = f"{self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
+        return f"{len(self.points):,} points, {size}"
+
+
+@by_content
+@dataclass(frozen=True)
+class Speck:
+    """What stands out but is too small for a piece, or ``floating`` off the part: its middle (3,) in mm, frame of the
+    test scan, and its size."""
+
+    middle_mm: Floats
+    area_mm2: float
+    height_mm: float
+    floating: bool = False
+
+    def __str__(self) -> str:
+        place = ", ".join(f"{value:.0f}" for value in self.middle_mm)
+        floating = ", touching nothing of the part" if self.floating else ""
+        return f"{self.area_mm2:.2g} mm2, {self.height_mm:.2g} mm high, about ({place}) mm{floating}"
+
+
+class Standing(NamedTuple):
+    """What stands out: indices ``chosen`` (K,) of the test scan's surfels, and of all of these (M,): ``free``, whether
+    they stand where the sample's scanner saw through, ``aside``, whether the sample's normals do not lead there,
+    ``signed`` distances, ``normals`` (M, 3) and ``level`` of detection.
+    """
+
+    chosen: Integers
+    free: Flags
+    aside: Flags
+    signed: Floats
+    normals: Floats
+    level: Floats
+
+
+def find_pieces(
+    source: Scan, surface: Surfels, standing: Standing, min_surfels: int
+) -> tuple[tuple[Cluster, ...], tuple[Speck, ...]]:
+    """Connected pieces of at least ``min_surfels`` and specks, each largest volume first.
+
+    Args:
+        source: the test scan.
+        surface: the good part in the frame of the test scan.
+        standing: what stands out.
+        min_surfels: that a piece has at twice the level of detection.
+    """
+    chosen, signed = standing.chosen, standing.signed
+    if len(chosen) == 0:
+        return (), ()
+    size = surface.grid.size_mm
+    places = source.surfels.points[chosen]
+    labels = euclidean_clusters(places, 2 * size)
+    number = int(labels.max()) + 1
+    strong = np.bincount(labels, signed[chosen] > 2 * standing.level[chosen], number)
+    dense = np.bincount(labels, source.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
+    dense_enough = dense >= MIN_DENSITY * np.median(source.surfels.counts)
+    volumes = np.bincount(labels, signed[chosen], number)
+    pieces: list[Cluster] = []
+    specks: list[Speck] = []
+    largest = 0.0
+    for label in np.argsort(-volumes, kind="stable"):
+        if strong[label] < min(MIN_SPECK, min_surfels) or not dense_enough[label]:
+            continue
+        members = chosen[labels == label]
+        piece = _piece(source, surface, members, standing)
+        if piece is None:
+            continue
+        floating = bool(np.quantile(piece.signed_mm, 0.02) > FLOATING_CELLS * size)
+        if strong[label] >= min_surfels and volumes[label] >= MIN_VOLUME * largest and not floating:
+            largest = max(largest, volumes[label])
+            pieces.append(piece)
+        else:
+            specks.append(Speck(source.surfels.points[members].mean(axis=0), piece.area_mm2, piece.peak_mm, floating))
+    return tuple(pieces), tuple(specks)
+
+
+def _piece(source: Scan, surface: Surfels, members: Integers, standing: Standing) -> Cluster | None:
+    """The scan's own points in the cells of a piece, with their signed distances; None where it is a wall."""
+    flags = np.zeros(len(source.surfels), dtype=bool)
+    flags[members] = True
+    points = source.points[_points_in_cells(source.points, flags, source.surfels.grid)]
+    size = surface.grid.size_mm
+    distances, up, _ = signed_distances(surface, points, 2 * size)
+    owner = members[nearest(build_cells(source.surfels.points[members], size), points, 4 * size)[0]]
+    high = np.isnan(distances) | standing.aside[owner]
+    if high.any():
+        at = owner[high]
+        up[high] = standing.normals[at]
+        beyond = ((points[high] - source.surfels.points[at]) * up[high]).sum(axis=1)
+        distances[high] = standing.signed[at] + beyond
+    out = distances > 0
+    feet = points[out] - distances[out, None] * up[out]
+    if len(feet) < 3:
+        return None
+    footprint = len(build_cells(feet, size).starts) - 1
+    if footprint < MIN_FOOTPRINT * len(members) and standing.free[members].mean() < MIN_FREE:
+        return None
+    area = len(members) * size**2 / 1.5
+    peak = float(np.quantile(distances[out], 0.98))
+    volume = area * float(np.mean(standing.signed[members]))
+    return Cluster(points[out], distances[out], up[out], size, area, volume, peak)
+
+
+@njit(cache=True, nogil=True)
+def _points_in_cells(points: Floats, flags: Flags, grid: CellGrid) -> Integers:
+    """Indices of the points (N, 3) that lie in the cells with a flag."""
+    table_keys, table_cells = grid.table_keys, grid.table_cells
+    origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
+    found = np.empty(len(points), dtype=np.int64)
+    count = 0
+    last, wanted = np.int64(-1), np.bool_(False)
+    for p in range(len(points)):
+        i = int((points[p, 0] - origin[0]) * per_mm)
+        j = int((points[p, 1] - origin[1]) * per_mm)
+        k = int((points[p, 2] - origin[2]) * per_mm)
+        key = cell_key(i, j, k)
+        if key != last:  # neighbours in a scan's row share a cell
+            last, wanted = key, flags[table_cells[find_slot(table_keys, key)]]
+        if wanted:
+            found[count] = p
+            count += 1
+    return found[:count].copy()
