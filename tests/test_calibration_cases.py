@@ -159,6 +159,14 @@ def test_a_zero_counted_from_elsewhere_is_mended_and_named(rng):
     assert any("theta3_rad moved by 0.52" in told and "its zero is counted from" in told for told in result.warnings)
 
 
+def test_one_mistyped_length_is_mended_and_named(rng):
+    made = tracked(rng)
+    table = ur5().table.copy()
+    table[2, 1] = -452.0
+    told = calibrate(made.measurements, ur5().with_table(table)).warnings
+    assert any(re.search(r"a3_mm moved by 2\d(\.\d+)? mm .*mistyped there", sentence) for sentence in told)
+
+
 def test_an_arm_that_is_held_says_what_it_leaves_and_predicts_no_less(rng):
     made = scanned(rng, rows=12, off_mm=1.5, off_rad=2e-3)
     result = calibrate(made.measurements, er3a(), Options(free=()))

@@ -414,6 +414,14 @@ def one_bad_row(folder):
     return spheres(folder, table=table)
 
 
+@mistake("Something moved during the session")
+def tracker_bumped(folder):
+    measurements = measured().measurements
+    after = np.arange(len(measurements)) >= 30
+    moved = measurements.tracker_mm + np.outer(after, [0.6, 0.8, 0.0])
+    return spheres(folder, replace(measurements, tracker_mm=moved, train=np.ones(len(after), dtype=bool)))
+
+
 @mistake("A standard DH table")
 def standard_table(folder):
     modified = er3a().table

@@ -210,12 +210,14 @@ def far_from_nominal(arm: MdhArm, nominal: MdhArm) -> list[str]:
         return []
     amount = f"{moved:.4g} mm" if name.endswith("_mm") else f"{moved:.4g} rad ({np.degrees(moved):.3g} deg)"
     advice = "more than machines deviate: check the table"
-    far = sizes.ravel() > OTHER_TABLE
+    far = sizes.ravel() > 1
     if name.startswith("theta") and far.sum() == np.count_nonzero(far[3 :: len(PARAMETERS)]):
         advice = (
             "no other length or tilt does: its zero is counted from elsewhere than the table has it; mend that entry,"
             " or the offset that the controller adds"
         )
+    elif far.sum() == 1 and name == entry_name(worst):
+        advice = "no other entry does: it is mistyped there, by the look of it; mend that entry"
     elif size > OTHER_TABLE:
         advice = "this is another arm's table, by the look of it: give the right one, with its limits and speeds"
     return [f"{name} moved by {amount} from the robot table, {advice}"]
