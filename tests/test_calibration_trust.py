@@ -316,7 +316,7 @@ def test_stated_sigmas_hold_where_gears_wave_and_links_sag():
 @pytest.mark.full
 def test_stated_sigmas_hold_in_two_hundred_cells():
     within, table = coverage(200, clean=False)
-    assert table["known"].sum() > 2000 and 0.60 < within < 0.76
+    assert table["known"].sum() > 1500 and 0.60 < within < 0.76
 
 
 def test_masses_of_a_urdf_pull_at_its_joints_as_pinocchio_has_it(rng, tmp_path):
