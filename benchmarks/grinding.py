@@ -10,16 +10,20 @@ from __future__ import annotations
 
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from grindvision.cell.grinding_scene import grinding_scene
-from grindvision.errors import GrindvisionWarning
+from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.motion.grinding_options import GrindingOptions
 from grindvision_book.chapter_16.loop import Job, Shop, first_job, first_plan, jobs, true_volume_mm3
 
 ARM_MM = 0.03
 """Standard deviation of the arm's error along the normal."""
+
+DEEPER = 1.5
+"""So much deeper cut the passes of an instrument for which the usual depth is below the level of detection."""
 
 K_FACTORS = 0.6, 1.2
 """The true coefficient is drawn between so many times the planned one."""
@@ -49,10 +53,16 @@ def outcome(seed: int, every: int) -> Outcome:
     scene = grinding_scene(np.random.default_rng(seed), every=every)
     rng = np.random.default_rng([seed, 16])
     arm_mm, k_factor = ARM_MM * float(rng.standard_normal()), float(rng.uniform(*K_FACTORS))
-    touched_shop, blind_shop = Shop(touched_off=True), Shop(arm_mm=arm_mm, place_sigma_mm=0.0)
-    found = first_plan(scene, touched_shop)
+    passes = GrindingOptions()
+    try:
+        found = first_plan(scene, Shop(touched_off=True, passes=passes))
+    except InputError:  # below what this instrument's scans can show: deeper cuts, as the message asks for
+        passes = replace(passes, depth_mm=DEEPER * passes.depth_mm)
+        found = first_plan(scene, Shop(touched_off=True, passes=passes))
+    touched_shop = Shop(touched_off=True, passes=passes)
+    blind_shop = Shop(arm_mm=arm_mm, place_sigma_mm=0.0, passes=passes)
     touched, blind = (first_job(scene, shop, found) for shop in (touched_shop, blind_shop))
-    loop = list(jobs(scene, Shop(k_factor, arm_mm), seed, every))
+    loop = list(jobs(scene, Shop(k_factor, arm_mm, passes=passes), seed, every))
     truth = true_volume_mm3(scene)
     piece, last = touched.piece, loop[-1]
     return Outcome(

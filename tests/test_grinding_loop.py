@@ -34,9 +34,10 @@ def test_what_must_be_shown_of_fifty_instruments():
     off = np.array([(row.volume_off, row.sigmas_off, row.k_off) for row in rows])
     assert np.median(np.abs(off[:, 0])) < 0.02
     assert 0.6 <= np.mean(np.abs(off[:, 1]) < 1) <= 0.76
-    assert np.nanmedian(np.abs(off[:, 2])) < 0.05
-    for name in ("touched", "loop"):
+    told = np.abs(off[np.isfinite(off[:, 2]), 2])
+    assert len(told) >= 15 and np.median(told) < 0.05 and np.mean(told < 0.05) >= 0.9
+    for name, held in (("touched", 1.0), ("loop", 0.9)):
         gouges, left = (np.array([getattr(row, f"{name}_{what}_mm") for row in rows]) for what in ("gouge", "left"))
-        assert gouges.max() <= 0.05 and np.mean(left <= 0.15) >= 0.9
+        assert gouges.max() <= 0.05 and np.mean(left <= 0.15) >= held
     blind = np.array([row.blind_gouge_mm for row in rows])
     assert np.mean(blind > 0.05) > 0.05  # no plan that trusts the scan alone can hold it

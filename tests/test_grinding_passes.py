@@ -128,6 +128,17 @@ def test_k_is_only_bounded_where_the_passes_cut_down_to_their_floors():
     assert learnt.at_least and learnt.factor <= 1.0 and "or more" in str(learnt)
 
 
+def test_what_the_simulated_passes_miss_of_the_scan_is_no_slow_process():
+    """Heights that no factor explains, as on a map that is coarse against the wheel, must not pass for a sure one."""
+    work = flat_work()
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    *_, floors = simulate_passes(plan, work.heights.heights_mm, 2.5)
+    x, y = np.indices(floors.shape)
+    after = floors + 0.06 + 0.12 * np.sin(0.3 * x) * np.cos(0.9 * y)
+    learnt = learn_removal(plan, after, np.full(floors.shape, 0.03))
+    assert learnt.at_least and not np.isfinite(learnt.k_sigma_mm2_n)
+
+
 def test_nothing_taken_off_teaches_nothing():
     plan = plan_grinding(flat_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0))
     with pytest.raises(InputError, match="scan after the passes"):

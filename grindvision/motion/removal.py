@@ -38,6 +38,9 @@ MIN_REMOVED = 0.05
 TRIED_FACTORS, TRIED_OFFSETS = 18, 9
 """So many factors, each with so many offsets within three standard deviations, are tried before the best is refined."""
 
+BEYOND_MISFIT = 2.0
+"""A lag must be so many times what the simulated passes miss of the measured heights to be one."""
+
 WHOLE = 2.0
 """With this factor every stroke ends on its path."""
 
@@ -107,15 +110,26 @@ def learn_removal(
     found[:free] = _best(lambda terms: cost(*terms), found[:free])
     factor, offset = float(np.exp(found[0])), float(found[1]) * prior_sigma
     lag = float((left(factor, offset) - left(WHOLE, offset)).mean())
-    at_least = lag < plan.work.level_mm * (1.0 if prior_sigma else KNOWN)
+    misfit, misfit_mm = _misfit(after - left(factor, offset), weights, alike_nodes, free)
+    at_least = lag < max(plan.work.level_mm * (1.0 if prior_sigma else KNOWN), BEYOND_MISFIT * misfit_mm)
     if at_least and prior_sigma:
         offset = prior_sigma * float(_best(lambda deviations: cost(np.log(WHOLE), *deviations), found[1:])[0])
+    weights = weights / misfit**2
     k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_sigma_mm)
     if at_least:
         # a lag too small to be told apart from an offset would pass for one
         factor, k_sigma, offset_sigma = min(factor, 1.0), np.inf, min(float(np.hypot(offset_sigma, lag)), prior_sigma)
     planned = plan.options.k_mm2_n
     return LearntRemoval(planned * factor, planned * k_sigma, factor, lag, at_least, offset, offset_sigma)
+
+
+def _misfit(off_mm: Floats, weights: Floats, alike_nodes: float, free: int) -> tuple[float, float]:
+    """What the passes as simulated leave of the measured heights, ``off_mm`` (N,): over their noise, 1 at least, and
+    beyond it in mm. On a map that is coarse against the wheel it is more than noise."""
+    told = max(len(off_mm) / alike_nodes - free, 1.0)
+    noise = len(off_mm) / float((weights * alike_nodes).sum())
+    beyond = max(float((off_mm**2).mean()) - noise, 0.0)
+    return max(1.0, float(np.sqrt((weights * off_mm**2).sum() / told))), float(np.sqrt(beyond))
 
 
 def _best(cost: Callable[[Floats], float], start: Floats) -> Floats:
