@@ -6,7 +6,7 @@ import argparse
 import warnings
 from dataclasses import asdict
 
-from grindvision.cli.parameters import number
+from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
@@ -50,12 +50,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="from the scanner's origin to the first plate along its normal (default: not known; then one offset of all"
         " depths stays, for the hand-eye calibration to take up)",
     )
+    scans.add_argument(
+        "--seed",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="seed of the draws from which the error over the volume is predicted (default: 0)",
+    )
     add_unit_argument(scans)
     add_output_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run it."""
+    check_count("--seed", options.seed, 0, 10**18)
     if options.steps_mm is None:
         raise InputError(
             "--steps-mm is missing: say how much farther than the first each plate stands, 0 for the first"
@@ -89,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
             with work.stage("held_out"):
                 unseen = held_out_rms_mm(plates, options.steps_mm)
             with work.stage("predicted"):
-                predicted = predict_field_errors(plates, options.steps_mm, np.random.default_rng(0))
+                predicted = predict_field_errors(plates, options.steps_mm, np.random.default_rng(options.seed))
             if unseen[1] >= unseen[0]:
                 text = "plates that took no part are no flatter with the correction than without; do not use it"
                 warnings.warn(text, GrindvisionWarning, stacklevel=1)
