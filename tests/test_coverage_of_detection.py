@@ -73,6 +73,17 @@ def test_noise_raises_the_least_height_that_is_stated(good):
         cannot_show(calm.difference, 0.0)
 
 
+def test_a_bead_that_noise_or_wide_spacing_hides_is_no_bare_nothing_to_grind(rng):
+    bead = arc_bead(height_mm=1.5)
+    one = pair(seed=11, n_points=20_000, beads=[bead])
+    rays = one.test / np.linalg.norm(one.test, axis=1, keepdims=True)
+    found, said = found_of(one.sample, one.test + rays * rng.normal(0, 0.9, (len(rays), 1)))
+    assert not found.beads and "its noise is 0." in said and "would not be seen on half of the test scan" in said
+    coarse = pair(seed=12, n_points=4_500, beads=[bead])
+    found, said = found_of(coarse.sample, coarse.test)
+    assert not found.beads and "beads narrower than" in said
+
+
 def test_the_same_scan_twice_says_nothing_of_the_part(good):
     _, said = found_of(good.sample, good.sample.copy())
     assert "are one scan" in said

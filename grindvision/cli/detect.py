@@ -275,6 +275,15 @@ def _results(found: Detection) -> dict[str, Any]:
             }
             for bead in found.beads
         ],
+        "specks": [
+            {
+                "middle_mm": speck.middle_mm,
+                "area_mm2": speck.area_mm2,
+                "height_mm": speck.height_mm,
+                "floating": speck.floating,
+            }
+            for speck in found.difference.specks
+        ],
     }
 
 

@@ -52,8 +52,9 @@ def _verdict(found: Detection) -> tuple[str, str]:
         f"Registration: confidence {found.confidence:.2f}, overlap {registration.overlap:.0%},"
         f" rms {registration.rms_mm:.3f} mm. Frame: scanner frame of the test scan."
     )
-    if not found.beads and found.difference.clusters:
-        return f"No path: {len(found.difference.clusters)} piece(s) stand out, none to be followed", facts
+    standing = len(found.difference.clusters) or len(found.difference.specks)
+    if not found.beads and standing:
+        return f"No path: {standing} piece(s) stand out, none to be followed", facts
     if not found.beads:
         level, cell = found.difference.level_of_detection_mm, found.test.surfels.grid.size_mm
         return f"Nothing to grind: no difference above {level:.2f} mm, compared in cells of {cell:.2g} mm", facts
@@ -106,7 +107,7 @@ def _draw_path(axes: Axes, view: _View, found: Detection) -> None:
     if not found.beads:
         _dots(axes, view, found.test.surfels.points, GREY, "test")
         axes.plot(*view(found.difference.points).T, ".", ms=2, color=TEST)
-        axes.set_title("no path" if found.difference.clusters else "nothing to grind")
+        axes.set_title("no path" if found.difference.clusters or found.difference.specks else "nothing to grind")
         return
     bead = found.beads[0]
     reach = 0.75 * bead.length_mm + 3 * bead.width_mm

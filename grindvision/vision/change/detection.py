@@ -31,9 +31,10 @@ Floats = NDArray[np.float64]
 
 STAGES = (*scan_registration.STAGES, "difference", "path")
 
-MUCH_COARSER, WIDE = 2.0, 0.05
+MUCH_COARSER, WIDE, HIGH = 2.0, 0.03, 0.008
 """Where nothing stands out, it is said that the test scan is coarse: from so many times the sample's point spacing, or
-where the least width of a bead is more than this fraction of the scan's diagonal."""
+where the least width of a bead is more than this fraction of the scan's diagonal; and that it is noisy, where the least
+height is more than that fraction."""
 
 
 @by_content
@@ -97,13 +98,13 @@ class Detection:
     def __str__(self) -> str:
         pieces = len(self.difference.clusters)
         if pieces and not self.beads:
-            return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}"
+            return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}; {self.coverage}"
         if self.difference.specks and not pieces:
             return f"no path: {len(self.difference.specks)} place(s) stand out, none to be followed; {self.coverage}"
         if not pieces:
             level = f"the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
             return f"nothing to grind above {level}; {self.coverage}"
-        return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}"
+        return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}; {self.coverage}"
 
 
 @one_blas_thread()
@@ -204,6 +205,8 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
         )
     if not difference.clusters and (coarse := _coarser(found, difference)):
         said.append(coarse)
+    if not difference.clusters and (noisy := _noisier(found, coverage)):
+        said.append(noisy)
     if difference.specks:
         said.append(
             f"{len(difference.specks)} place(s) stand out that are too small for a path or touch nothing of the part,"
@@ -225,6 +228,17 @@ def _coarser(found: Registration, difference: Difference) -> str:
     return (
         f"the test scan's points stand{beside}: beads narrower than {difference.min_width_mm:.2g} mm would not be"
         " seen; scan the test part more finely"
+    )
+
+
+def _noisier(found: Registration, coverage: Coverage) -> str:
+    """In words, that noise hides low beads; empty where it does not."""
+    if coverage.height_mm <= HIGH * np.linalg.norm(np.ptp(found.source.surfels.points, axis=0)):
+        return ""
+    noise = [float(np.median(scan.surfels.noise_mm)) for scan in (found.source, found.target)]
+    return (
+        f"beads lower than {coverage.height_mm:.2g} mm would not be seen on half of the test scan: its noise is"
+        f" {noise[0]:.2g} mm, the sample's {noise[1]:.2g} mm; scan with less noise"
     )
 
 
