@@ -3,7 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from IPython.core.interactiveshell import InteractiveShell
 
+import grindvision_book as book
 from grindvision_book.machinery.shown_tables import cell_texts, heading, table_html
 
 
@@ -39,3 +41,13 @@ def test_row_numbers_are_not_shown_and_names_of_rows_are():
 
 def test_text_cannot_bring_markup_into_a_page():
     assert "<b>" not in table_html(pd.DataFrame({"<b>": ["<b>"]}))
+
+
+def test_a_chapter_that_has_begun_shows_its_tables_so():
+    shell = InteractiveShell.instance()
+    try:
+        book.start("01")
+        shown = shell.display_formatter.format(pd.DataFrame({"paper_mm": [np.nan], "turn_deg": [2.0]}))[0]["text/html"]
+        assert "turn (°)" in shown and "not printed" in shown and "NaN" not in shown
+    finally:
+        InteractiveShell.clear_instance()

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision.errors import InputError
 from grindvision.files import write_text
 from grindvision_book.machinery.places import ROOT, figures_folder
+from grindvision_book.machinery.shown_tables import table_html
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,6 +72,8 @@ def start(chapter: str) -> None:
 
     plt.style.use(Path(__file__).with_name("book.mplstyle"))
     pd.set_option("display.float_format", "{:.5g}".format, "display.max_rows", 100, "display.max_colwidth", 80)
+    if shell := _shell():
+        shell.display_formatter.formatters["text/html"].for_type(pd.DataFrame, table_html)
     if pyvista := sys.modules.get("pyvista"):
         _look_of_scenes(pyvista)
     elif not any(isinstance(finder, _ScenesToCome) for finder in sys.meta_path):
@@ -78,6 +81,12 @@ def start(chapter: str) -> None:
     _session.chapter = chapter
     _session.answers.clear()
     (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)
+
+
+def _shell() -> Any:
+    """The IPython session or kernel that this runs in, else None."""
+    ipython = sys.modules.get("IPython")
+    return ipython.get_ipython() if ipython else None
 
 
 class _ScenesToCome(MetaPathFinder):
@@ -162,10 +171,15 @@ def provenance() -> pd.DataFrame:
 
 
 def _commit() -> str:
+    """The commit, and whether what the numbers are computed from differs from it (rebuilt figures do not count)."""
+    commit = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "--", "grindvision", "grindvision_book", "notebooks", "data")
+    return f"{commit} and changes that are not committed" if commit and changed else commit or "unknown"
+
+
+def _git(*words: str) -> str:
     try:
-        answer = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, timeout=10
-        )
+        answer = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):
-        return "unknown"
-    return answer.stdout.strip() or "unknown"
+        return ""
+    return answer.stdout.strip()
