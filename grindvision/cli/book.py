@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from grindvision.cli.streams import complain, say
-from grindvision.errors import GrindvisionError
+from grindvision.errors import GrindvisionError, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --site: build the exercises that run in the browser too (downloads about 80 MB once)",
     )
     parser.add_argument(
+        "--pdf", action="store_true", help="with --site: print the whole book as one PDF too (needs Chromium)"
+    )
+    parser.add_argument(
         "--record-seconds", action="store_true", help="commit what the chapters took, for the time left of later builds"
     )
 
@@ -36,6 +39,12 @@ def run(options: argparse.Namespace) -> int:
     from grindvision_book.machinery.one_at_a_time import only_build
     from grindvision_book.machinery.places import BUILD
 
+    if options.pdf:
+        from grindvision_book.site.pdf import find_chromium
+
+        if not options.site:
+            raise InputError("--pdf prints the pages of the HTML book; give --site too (./run site --pdf)")
+        find_chromium()
     with only_build(BUILD):
         return _build(options)
 
@@ -73,11 +82,14 @@ def _build(options: argparse.Namespace) -> int:
     say(f"\n{summary(table)}.\nScoreboard: {(figures / 'scoreboard.md').relative_to(ROOT)}", str(figures))
     site = None
     if options.site:
-        from grindvision_book.site import build_site
+        from grindvision_book.site import PDF, build_site
 
         in_browser = _in_browser() if options.in_browser else None
-        site = build_site(BUILD / "fast" if options.fast else BUILD, figures, in_browser=in_browser)
+        build = BUILD / "fast" if options.fast else BUILD
+        site = build_site(build, figures, in_browser=in_browser, pdf=options.pdf)
         say(f"HTML book: {site}", str(figures))
+        if options.pdf:
+            say(f"PDF: {site.parent / PDF}", str(figures))
     page.ended(site)
 
     failed = [outcome for outcome in outcomes if outcome.failure]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import re
 import shutil
 import sys
@@ -13,6 +14,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import grindvision
 from grindvision.errors import GrindvisionError
 from grindvision.files import sha256, write_json
 from grindvision_book.machinery.answers import write_scoreboard
@@ -25,6 +27,7 @@ from grindvision_book.site.examples import EXAMPLES, examples_page
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
 from grindvision_book.site.in_browser import IN_BROWSER, in_browser_link
+from grindvision_book.site.pdf import write_pdf
 from grindvision_book.site.pictures import dark_copies, figures_in, light_copies, lightened, tables_in
 from grindvision_book.site.playbacks import Playback
 from grindvision_book.site.reference import write_reference
@@ -34,6 +37,9 @@ SOURCES = Path(__file__).parents[1] / "site_sources"
 
 #: What a link to a page without a picture of its own shows where it is shared.
 SHARED_FIGURE = "table4_scene"
+
+#: Where the pages offer the whole book as one file.
+PDF = "downloads/grindvision.pdf"
 
 _DECISIONS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs" / "decisions").glob("*.md")))
 _TEXTS = ("data/README.md", "benchmarks/README.md", "CHANGELOG.md", "CONTRIBUTING.md", *_DECISIONS)
@@ -75,6 +81,7 @@ def build_site(
     scenes: Sequence[Scene | Playback] = SCENES,
     reference: bool = True,
     in_browser: Path | None = None,
+    pdf: bool = False,
 ) -> Path:
     """Build the pages and return the path of the first one; pages whose sources have not changed stay as they are.
 
@@ -86,11 +93,12 @@ def build_site(
         scenes: 3D scenes to draw.
         reference: whether to draw the pages of the package's reference.
         in_browser: the exercises that run in the browser, as ``build_in_browser`` returns them, or none.
+        pdf: whether to print them as one PDF too, ``PDF`` in the folder of the pages.
 
     Raises:
-        GrindvisionError: Sphinx cannot build them; the message has its reason.
+        GrindvisionError: Sphinx cannot build them, or the PDF cannot be printed; the message has its reason.
     """
-    asked = f"{[scene.name for scene in scenes]} {reference} {in_browser and _digest_of(in_browser)}"
+    asked = f"{[scene.name for scene in scenes]} {reference} {in_browser and _digest_of(in_browser)} {pdf}"
     record, inputs = (
         site.with_name(f"{site.name}_made.json"),
         _inputs(build / "executed", figures, notebooks, asked),
@@ -113,13 +121,18 @@ def build_site(
         shutil.copytree(in_browser, extra / "lite")
     if reference:
         write_reference(sources / "api")
-    _write_index(sources, light)
+    _write_index(sources, light, pdf)
     unfinished = site.with_name(f".{site.name}-unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
     _run_sphinx(sources, build / "doctrees", unfinished, [str(extra)])
     record.unlink(missing_ok=True)
     shutil.rmtree(site, ignore_errors=True)
     unfinished.rename(site)
+    if pdf:
+        edition = f"Version {grindvision.__version__}" + (
+            ", chapters in the fast setting" if build.name == "fast" else ""
+        )
+        write_pdf(site, sources / "figures", site / PDF, edition, os.environ.get("GRINDVISION_SITE_URL", ""))
     write_json(record, {"inputs": inputs, "pages": _digest_of(site)})
     return site / "index.html"
 
@@ -310,13 +323,16 @@ _EXERCISES_NOT_HERE = (
 )
 
 
-def _write_index(sources: Path, light: dict[str, str]) -> None:
+def _write_index(sources: Path, light: dict[str, str], pdf: bool) -> None:
     """The front page: the README, with the contents of the whole book."""
     chapters = {path.name[:2]: f"notebooks/{path.stem}" for path in sorted((sources / "notebooks").glob("*.ipynb"))}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](grindvision_book/site_sources/", "](")
     readme = re.sub(r"\]\(notebooks/(exercises|solutions)\)", "](exercises.md)", readme)  # folders are no pages
     if (sources / "scenes" / f"{FIRST_SCENE.name}.png").exists():
         readme = readme.replace("\n## ", f"\n{scene_markdown(FIRST_SCENE, '')}\n## ", 1)
+    if pdf:
+        offer = f"<p class='take'><a class='download' href='{PDF}' download>The whole book as a PDF</a></p>"
+        readme = readme.replace("\n\n", f"\n\n{offer}\n\n", 1)
     groups = []
     for caption, names in _CONTENTS.items():
         pages = [chapters.get(name, name) for name in names]

@@ -8,6 +8,8 @@ from typing import Any
 from docutils import nodes
 from sphinx.application import Sphinx
 
+import grindvision
+
 ABOUT = (
     "A reproducible experiment book of two robot-vision papers: 3D vision for grinding, groove detection for welding"
 )
@@ -15,6 +17,7 @@ ABOUT = (
 project = "grindvision"
 author = "grindvision contributors"
 project_copyright = "grindvision contributors, CC BY 4.0"
+release = grindvision.__version__
 language = "en"
 
 extensions = [
@@ -55,6 +58,7 @@ html_theme_options = {
     "show_navbar_depth": 1,
     "navbar_persistent": [],
     "navbar_end": [],
+    "extra_footer": f"<p>Version {release}</p>",
 }
 html_sidebars = {"**": ["navbar-logo.html", "search-button-field.html", "sbt-sidebar-nav.html"]}
 html_context = {"default_mode": "auto"}
