@@ -71,7 +71,7 @@ class PredictedFieldErrors:
         return (
             f"predicted over the volume, {self.distances_mm[0]:.0f} to {self.distances_mm[-1]:.0f} mm:"
             f" {self.mean_mm:.3f} mm rms (95 % below {self.p95_mm:.3f}, largest {largest:.3f} at x {x:.0f}, y {y:.0f},"
-            f" z {z:.0f} mm)"
+            f" z {z:.0f} mm), if the plates stand as said"
         )
 
 
