@@ -48,7 +48,7 @@ def draw(
         verdict = f"Calibrated: a plate that took no part is off flat by {unseen[1]:.2f} mm rms"
         facts = f"Before: {unseen[0]:.2f} mm rms. Noise is in both numbers."
         if predicted is not None:
-            facts += f"\nA corrected point, over the volume: {predicted.mean_mm:.2f} mm rms predicted in depth."
+            facts += f" A corrected point, over the volume: {predicted.mean_mm:.2f} mm rms predicted in depth."
         if unseen[1] >= unseen[0]:
             verdict = "Calibration did not help"
     draw_verdict(figure, verdict, facts, told)
