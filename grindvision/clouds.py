@@ -51,6 +51,9 @@ FARTHEST_MM = 1e6
 FEW_COPIES = 1e-3
 """Share of points that stand in a file twice without anybody having to know."""
 
+MIN_FILLERS, FILLER_SAMPLE = 5, 2000
+"""A point is no measurement where it fills so many rows of a sample of this size."""
+
 SAMPLE_STEP, MAX_SAMPLES = 1 / 700, 1_000_000
 """Distance of the points spread over a mesh, fraction of its diagonal, and how many there are at most."""
 
@@ -178,13 +181,14 @@ def finite_points(cloud: Cloud, name: str) -> Floats:
 
 
 def usable_rows(cloud: Cloud, name: str) -> tuple[NDArray[np.bool_], tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Which rows (N,) of a cloud are finite and no copy of an earlier one; and the copies, see ``find_copies``.
+    """Which rows (N,) of a cloud are finite, no filler (``filler_point``) and no copy of an earlier one; and the
+    copies, see ``find_copies``.
 
     Raises:
-        FileError: no finite point is left.
+        FileError: no point is left.
 
     Warns:
-        GrindvisionWarning: rows hold NaN or infinity; more than a few are copies.
+        GrindvisionWarning: rows hold NaN or infinity, or a filler; more than a few are copies.
     """
     everything = np.isfinite(cloud.points).all()  # the usual case, told many times faster than row by row
     rows = np.asarray(np.isfinite(cloud.points).all(axis=1)) | everything
@@ -193,6 +197,16 @@ def usable_rows(cloud: Cloud, name: str) -> tuple[NDArray[np.bool_], tuple[NDArr
     if not rows.all():
         text = f"{name}: {int((~rows).sum())} of {len(cloud)} points hold NaN or infinity and were dropped"
         warnings.warn(text, GrindvisionWarning, stacklevel=2)
+    filler = filler_point(cloud.points)
+    if filler is not None:
+        measured = (cloud.points != filler).any(axis=1)
+        fills = int((rows & ~measured).sum())
+        place = " ".join(f"{value:.6g}" for value in filler)
+        if fills == rows.sum():
+            raise FileError(f"{name}: all {fills} finite points are {place}; scan again or export again")
+        text = f"{name}: {fills} of {len(cloud)} points are {place}, a pixel without depth, and were dropped"
+        warnings.warn(text, GrindvisionWarning, stacklevel=2)
+        rows = rows & measured
     at = np.flatnonzero(rows)
     copies, originals = find_copies(cloud.points if rows.all() else cloud.points[at])
     if len(copies) > FEW_COPIES * len(cloud):
@@ -200,6 +214,17 @@ def usable_rows(cloud: Cloud, name: str) -> tuple[NDArray[np.bool_], tuple[NDArr
         warnings.warn(text, GrindvisionWarning, stacklevel=2)
     rows[at[copies]] = False
     return rows, (at[copies], at[originals])
+
+
+def filler_point(points: Floats) -> Floats | None:
+    """The point (3,) that stands for pixels without depth: one that many rows of (N, 3) repeat exactly, in the camera's
+    frame the origin; None where there is none."""
+    sample = points[:: max(len(points) // FILLER_SAMPLE, 1)]
+    values, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
+    if len(values) and counts.max() >= MIN_FILLERS:
+        return np.asarray(values[counts.argmax()])
+    zeros = (points == 0).all(axis=1)
+    return np.zeros(3) if zeros.sum() > 1 else None
 
 
 def find_copies(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -369,3 +369,15 @@ def test_a_doubtful_size_asks_for_the_unit(points):
 def test_far_points_are_written_in_double(tmp_path, points):
     write_ply(tmp_path / "a.ply", points + 500_000)
     np.testing.assert_allclose(read_cloud(tmp_path / "a.ply").points, points + 500_000, atol=1e-9)
+
+
+@pytest.mark.parametrize("value", [(0.0, 0.0, 0.0), (7.5, -2.0, 99.0)])
+def test_pixels_without_depth_are_left_out_whole(rng, value):
+    """Not one of them stays as a point of the surface."""
+    points = rng.uniform(0, 100, (3000, 3))
+    points[::10] = value
+    with pytest.warns(GrindvisionWarning, match="300 of 3000 points are .* a pixel without depth"):
+        left = finite_points(Cloud(points), "a.ply")
+    assert len(left) == 2700 and (left != value).any(axis=1).all()
+    with pytest.raises(FileError, match="all 50 finite points are"):
+        finite_points(Cloud(np.tile(value, (50, 1))), "a.ply")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from grindvision.clouds import LARGEST_MM, SMALLEST_MM
+from grindvision.clouds import LARGEST_MM, SMALLEST_MM, filler_point
 from grindvision.errors import InputError, NoGrooveError, UnitError
 from grindvision.geometry import inverse, move_points
 from grindvision.geometry.bounds import diagonal_mm
@@ -35,8 +35,6 @@ MIN_VOLUME_FRACTION = 0.05
 #: Where the largest valley is no groove or may be a gap, so many of the valleys under each smaller disc are fitted,
 #: largest first.
 MAX_LOOKED_AT = 4
-#: A point is no measurement where it fills so many rows of a sample of this size.
-MIN_FILLERS, FILLER_SAMPLE = 5, 2000
 #: A path that runs along a known groove for this fraction is that groove again.
 KNOWN_FRACTION = 0.5
 
@@ -188,7 +186,7 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
         raise InputError(f"the cloud has shape {cloud.shape}; expected (N, 3), or (rows, columns, 3) if organised")
     cloud = cloud.reshape(-1, 3)
     valid = np.isfinite(cloud[:, 0] + cloud[:, 1] + cloud[:, 2])
-    filler = _filler(cloud)
+    filler = filler_point(cloud)
     if filler is not None:
         valid &= (cloud != filler).any(axis=1)
     kept = cloud if valid.all() else cloud[valid]
@@ -199,17 +197,6 @@ def finite_points(points: ArrayLike) -> tuple[Floats, Flags]:
         guess = "; if its numbers are metres, read it with unit m" if diagonal < SMALLEST_MM else ""
         raise UnitError(f"the cloud spans {diagonal:.3g} mm, which is no weld part in mm{guess}")
     return kept, valid
-
-
-def _filler(cloud: Floats) -> Floats | None:
-    """The point (3,) that stands for pixels without depth: one that many rows of a cloud (N, 3) repeat exactly, in the
-    camera's frame the origin; None where there is none."""
-    sample = cloud[:: max(len(cloud) // FILLER_SAMPLE, 1)]
-    values, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
-    if len(values) and counts.max() >= MIN_FILLERS:
-        return np.asarray(values[counts.argmax()])
-    zeros = (cloud == 0).all(axis=1)
-    return np.zeros(3) if zeros.sum() > 1 else None
 
 
 def _total_volume(grooves: list[DetectedGroove]) -> float:
