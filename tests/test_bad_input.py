@@ -203,7 +203,10 @@ ROBOTS = {
     "absent": (None, "no such file"),
     "words": ("hello", "no rows"),
     "degrees": ("joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\nJ1,0,0,321,0,0\nJ2,90,50,0,0,0\n", "degrees"),
-    "metres": ("joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\nJ1,0,0,.32,0,0\nJ2,1.57,.05,0,0,0\n", "a_m and d_m"),
+    "metres": (
+        "joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\nJ1,0,0,.32,0,0\nJ2,1.57,.05,0,0,0\nJ3,0,.3,0,0,0\nJ4,0,.2,0,0,0\n",
+        "a_m and d_m",  # of up to three joints it may be a positioner whose axes nearly meet
+    ),
     "text": ("joint,alpha_rad,a_mm,d_mm,theta_rad,beta_rad\nJ1,0,0,tall,0,0\n", "row 1, column d_mm: 'tall'"),
     "no_urdf": ("<robot>\n</robot>", "column"),
 }
