@@ -41,7 +41,8 @@ KINDS = (*WORKPIECES, *OTHERS)
 
 
 def pieces_of(kind, pair):
-    """Pieces and specks that two scans of a good part are said to differ by; None where they are refused."""
+    """Pieces and specks that two scans of a good part are said to differ by; None where they are refused, or where the
+    pose is wrong: that is the registration's affair."""
     scene = workpiece_scene(kind, np.random.default_rng([77, pair]), "none")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -49,6 +50,8 @@ def pieces_of(kind, pair):
             found = detect(scene.sample.points, scene.test.points, DetectOptions(seed=pair))
         except DegenerateError:
             return None
+    if scene.pose_error_mm(found.T_sample_test) > 1.0:
+        return None
     return len(found.difference.clusters), len(found.difference.specks)
 
 
