@@ -20,9 +20,10 @@ from grindvision.calibration.pose_conventions import MAKERS, convention, poses_f
 from grindvision.calibration.sphere_search import cut_out_sphere
 from grindvision.cli import main
 from grindvision.cli.hand_eye_targets import pairs_of_views
-from grindvision.clouds import write_ply
+from grindvision.clouds import finite_points, read_cloud, write_ply
 from grindvision.errors import DegenerateError, FileError, InputError
-from grindvision.geometry import angle_between, inverse, rigid
+from grindvision.geometry import angle_between, inverse, move_points, rigid
+from grindvision.vision.registration.views import register_views
 from tests.hand_eye_scene import TARGET, X, looking_poses, part_view, seen_points, seen_poses, sphere_view
 
 
@@ -355,3 +356,42 @@ def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refus
     assert report["rms_mm"] < 1.4
     assert report["pairs_disagreement_mm"] < 0.05
     assert list(report["pairs_refused"]) == ["3 8"]
+
+
+@pytest.mark.full
+def test_a_measured_sphere_and_a_measured_part_agree_within_what_both_say(real_data, tmp_path, capsys):
+    """The sphere's own answer is known to several mm only, and the command says so; the part's to less than 1 mm."""
+    folder = real_data("reghec")
+    said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first"]
+    found, sigma = {}, {}
+    for name, target in (("Sphere", "sphere:96.752"), ("Duck", "part")):
+        views = [str(folder / name / f"view{k}d.pcd") for k in range(1, 10)]
+        words = [str(folder / name / "RobotPoses.dat"), *views, *said, "--target", target, "-o", str(tmp_path / name)]
+        assert main(["hand-eye", *words]) == 0
+        assert ("known poorly" in capsys.readouterr().err) == (name == "Sphere")
+        written = json.loads((tmp_path / name / "hand_eye.json").read_text())
+        found[name], sigma[name] = (np.array(written[key]) for key in ("T_flange_camera", "covariance"))
+        assert ("poorly_known" in written) == (name == "Sphere")
+    sphere, duck = found["Sphere"], found["Duck"]
+    turned = Rotation.from_matrix(duck[:3, :3] @ sphere[:3, :3].T).as_rotvec()
+    apart = np.concatenate([duck[:3, 3] - sphere[:3, 3], turned])
+    assert apart @ np.linalg.solve(sigma["Sphere"] + sigma["Duck"], apart) < 16.8  # chi squared of six, 99 %
+    assert np.sqrt(np.diag(sigma["Duck"])[:3].max()) < 1.0
+
+
+@pytest.mark.full
+def test_measured_views_of_a_part_carry_the_measured_sphere_with_them(real_data):
+    """The arm stood in the same poses before both: what the part's views say of the camera's motion, no arm needed,
+    brings nine centres of the sphere together."""
+    folder = real_data("reghec")
+    views = {
+        name: [finite_points(read_cloud(folder / name / f"view{k}d.pcd", "m"), name) for k in range(1, 10)]
+        for name in ("Sphere", "Duck")
+    }
+    streams = np.random.default_rng(0).spawn(9)
+    centres = [
+        cut_out_sphere(one, 96.752, rng, "v").centre_mm for one, rng in zip(views["Sphere"], streams, strict=True)
+    ]
+    poses = register_views(views["Duck"]).T_part_view
+    places = np.array([move_points(pose, centre) for pose, centre in zip(poses, centres, strict=True)])
+    assert np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()) < 0.2  # 0.10; the arm's own 1.05 mm
