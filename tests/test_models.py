@@ -14,8 +14,9 @@ from grindvision.errors import DegenerateError, FileError, GrindvisionWarning, I
 from grindvision.geometry import move_points, rigid, rotation_about
 from grindvision.models import read_cloud_or_model
 from grindvision.triangles import spread_points
-from grindvision.vision.registration.model_registration import diagnose_model, other_unit
+from grindvision.vision.registration.model_registration import diagnose_model, other_unit, register_to_model
 from grindvision.vision.registration.pair_diagnostics import PairNames
+from grindvision.vision.registration.scan_registration import StageClock
 from grindvision.vision.surface.facets import sound_facets
 from grindvision.vision.surface.model_surface import model_surface, scan_seen_from, seen, spread, whole_scan
 from grindvision.vision.surface.ray_casting import blocked, ray_tree
@@ -466,3 +467,25 @@ def test_spread_points_of_one_triangle_fill_it():
     assert (owner == 0).all() and len(points) == 400
     assert (points[:, :2] >= 0).all() and (points[:, 0] + points[:, 1] <= 10).all()
     np.testing.assert_allclose(points.mean(axis=0), [10 / 3, 10 / 3, 0], atol=0.1)
+
+
+def test_a_plate_is_held_by_its_outline_and_holes():
+    """Features tell nothing on a flat plate, and ICP rests wherever plane lies on plane."""
+    pytest.importorskip("manifold3d", reason="needs the extra sim")
+    from grindvision.cell.rays import target_of
+    from grindvision.cell.scanners import StructuredLightScanner
+    from grindvision.cell.solids import box
+    from grindvision.cell.views import view_from
+
+    plate = box("plate", [-80, -50, 0], [80, 50, 12])
+    for x, y, half in ((-60, -30, 6), (55, 30, 6), (50, -28, 9)):
+        plate = plate - box("hole", [x - half, y - half, -1], [x + half, y + half, 13])
+    solid = plate.solid()
+    stand = view_from(np.zeros(3), 420.0, 0.8, 0.7, 0.3)
+    seen = StructuredLightScanner(serial=5).scan(target_of(solid), stand, np.random.default_rng(3), every=5)
+    model, names = Model(solid.vertices_mm, solid.triangles), PairNames("test", "sample")
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        found = register_to_model(seen.points, model, np.zeros(3), rng, StageClock(), names)
+        off = move_points(found.registration.T_target_source, seen.points) - move_points(stand, seen.points)
+        assert np.linalg.norm(off, axis=1).max() < 0.5

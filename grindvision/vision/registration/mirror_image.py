@@ -54,8 +54,9 @@ def mirrored_fit(judge: PoseJudge, best: Candidate) -> MirrorImage | None:
     one = judge.evidence(best.pose, None)
     pose = min(mirrored, key=lambda found: judge.evidence(found).cost())
     other = judge.evidence(pose, None)
-    # a symmetric part from its two sides: the mirror image meets more of it, which decides nothing
-    absent = 0.0 if min(one.met, other.met) > OVERLAPS * max(one.met, other.met) else LOST
+    # two scans of a symmetric part from its two sides: the mirror image meets more of it, which decides nothing
+    alike = min(one.met, other.met) > OVERLAPS * max(one.met, other.met)
+    absent = 0.0 if alike and not judge.whole else LOST
     odds = judge.surfels * (other.cost(absent) - one.cost(absent))
     if odds > DECIDED:
         return None

@@ -249,7 +249,8 @@ def _findings_of_mirror(coarse: VerifiedPose, names: PairNames) -> list[str]:
     if coarse.mirror.better:
         raise InputError(
             f"the {names.source} scan fits the {names.target} better as its mirror image ({coarse.mirror.agreement};"
-            f" as it is, {coarse.agreement}): one of the two was {LEFT_HANDED}; export it again, or say --mirrored"
+            f" as it is, {coarse.agreement}): one of the two was {LEFT_HANDED}; export it again, or say --mirrored;"
+            " or the part is nearly symmetric and another pose is right: scan what tells its sides apart"
         )
     return [
         f"the mirror image of the {names.source} scan fits as well ({coarse.mirror.agreement}), so that it would not"

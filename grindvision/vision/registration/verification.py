@@ -21,6 +21,7 @@ from grindvision.vision.registration.free_motions import motion_name, motion_nam
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.mirror_image import MirrorImage, mirrored_fit
 from grindvision.vision.registration.plane_icp import NORMAL_NOISE
+from grindvision.vision.registration.plates import lies_beside, plate_poses
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
 from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
 from grindvision.vision.surface.scan import Scan
@@ -95,6 +96,8 @@ def choose_pose(
     candidates = judge.settled(judge.refined_all(poses[:tried]))
     if not candidates or judge.is_uncertain(candidates[0]):
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(poses[tried:]))])
+    if candidates:
+        candidates = judge.distinct([*candidates, *plate_poses(judge, candidates[0])])
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     for attempt in range(3):
@@ -105,6 +108,8 @@ def choose_pose(
             break
     best, *candidates = judge.ranked(candidates)
     _check_fit(judge, best)
+    if said := lies_beside(judge, best):
+        raise AmbiguousError(f"the registration is ambiguous: {said}")
     found = _verdict(judge, best, [other for other in candidates if judge.differ(other.pose, best.pose)])
     return replace(found, mirror=mirrored_fit(judge, best))
 
