@@ -60,6 +60,22 @@ def tube_on_plate(rng, radius=20.0, noise_mm=0.1, spacing=1.0):
     return noisy(np.concatenate([base, tube]), rng, noise_mm)
 
 
+def tube_all_round(rng, radius=20.0, noise_mm=0.1, spacing=1.0):
+    """A tube on a plate as scans from all sides show it once they are merged, far from the origin: a closed seam."""
+    base = plate((-50.0, 50.0), (-50.0, 50.0), spacing=spacing)
+    base = base[np.hypot(base[:, 0], base[:, 1]) > radius]
+    angle, up = np.meshgrid(np.arange(-np.pi, np.pi, spacing / radius), np.arange(0.0, 40.0, spacing))
+    tube = np.stack([radius * np.cos(angle), radius * np.sin(angle), up], axis=-1).reshape(-1, 3)
+    return noisy(np.concatenate([base, tube]), rng, noise_mm) + [400.0, 0.0, 0.0]
+
+
+def box_corner(rng, noise_mm=0.1, length=60.0, spacing=1.0):
+    """A base z = 0 with two walls x = 0 and y = 0 that meet over it: three seams that run into the origin."""
+    sides = [((1, 0, 0), (0, 1, 0)), ((1, 0, 0), (0, 0, 1)), ((0, 1, 0), (0, 0, 1))]
+    faces = [plate((0.0, length), (0.0, length), first=one, second=other, spacing=spacing) for one, other in sides]
+    return noisy(np.concatenate(faces), rng, noise_mm)
+
+
 def turned(points, rng, tilt_rad=0.5):
     """The points turned by up to ``tilt_rad`` and moved, with the rotation and the translation."""
     axis = rng.standard_normal(3)

@@ -5,9 +5,10 @@ import pytest
 
 from grindvision.errors import InputError, NoGrooveError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS, kinds_of
+from grindvision.vision.seam.seam_path import root_path
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from tests.groove_scenes import straight_groove
-from tests.seam_scenes import butt, corner, outside, step, tube_on_plate, turned
+from tests.seam_scenes import box_corner, butt, corner, outside, step, tube_all_round, tube_on_plate, turned
 
 #: From where the scenes are seen: over the base, in front of the wall.
 EYE = np.array([20.0, -220.0, 320.0])
@@ -147,3 +148,28 @@ def test_a_kind_can_be_asked_for():
     with pytest.raises(InputError, match="joint 'bolt' is unknown"):
         find_seams(points, FindSeamsOptions(EYE, "bolt"))
     assert set(FAMILIES["any"]) == set(KINDS) and kinds_of("saddle") == ("saddle",)
+
+
+def test_a_seam_seen_all_round_is_closed():
+    points = tube_all_round(np.random.default_rng(5))
+    (seam,) = find_seams(points).seams
+    assert seam.kind == "tube-on-plate" and seam.closed
+    assert seam.length_mm == pytest.approx(2 * np.pi * 20, rel=0.03)
+    away = np.hypot(seam.root[:, 0] - 400, seam.root[:, 1])
+    assert np.abs(away - 20).mean() < 0.15 and np.abs(away - 20).max() < 0.8
+    path = root_path(seam, 40)
+    steps = np.linalg.norm(np.diff(path.points, axis=0, append=path.points[:1]), axis=1)
+    assert path.closed and np.ptp(steps) < 0.3 * steps.mean()
+
+
+def test_seams_that_meet_are_separate_ones():
+    """The three edges of a box's corner, each along its own axis, none turning into another."""
+    found = find_seams(box_corner(np.random.default_rng(6)), FindSeamsOptions([200.0, 250.0, 300.0]))
+    axes = []
+    for seam in found.seams:
+        assert seam.kind in FAMILIES["fillet"]
+        extent = np.ptp(seam.root, axis=0)
+        axes.append(int(extent.argmax()))
+        off = np.delete(seam.root, axes[-1], axis=1)
+        assert np.linalg.norm(off[5:-5], axis=1).max() < 1.0 and extent.max() > 35
+    assert sorted(axes) == [0, 1, 2]

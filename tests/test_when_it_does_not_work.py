@@ -261,6 +261,17 @@ def between_blocks(folder: Path, gap_mm: float, high_mm: float, groove_mm: float
     return seam(folder, cloud(places, heights, np.random.default_rng(1)))
 
 
+@mistake("A hollow without edges")
+def between_tubes(folder):
+    """Two tubes of 60 mm radius, 90 mm apart, and a weld of 20 mm radius in their corner."""
+    places = grid(150, 120)
+    y = np.abs(places[:, 1])
+    foot = np.sqrt(80.0**2 - 45.0**2) - 60.0
+    weld = foot - np.sqrt(np.maximum(20.0**2 - y**2, 0))
+    heights = np.where(y < 45.0 * 20 / 80, weld, np.sqrt(60.0**2 - (y - 45.0) ** 2) - 60.0)
+    return seam(folder, cloud(places, heights, np.random.default_rng(1)))
+
+
 @mistake("The groove may be a gap between two things")
 def two_blocks(folder):
     return between_blocks(folder, 40, 30)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from grindvision.geometry import unit_vectors
+from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.records import by_content
 from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, faces_beside, fit_faces, intersections, root_normals
 from grindvision.vision.seam.joint_extent import leg_lengths, rounding_mm, sharpness
@@ -33,6 +33,12 @@ GROWING_CELLS = 2.0
 HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
 MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
+#: A seam that comes back to within so many cells of its start and goes on there, within this angle, is a ring.
+RING_CELLS, RING_TURN_RAD, RING_STATIONS = 6.0, np.radians(75.0), 3
+#: The ends of a ring are fitted lying over each other by so many cells to both sides.
+OVERLAP_CELLS = 4.0
+#: On both sides of a ring's join its line is bridged over so many cells.
+JOIN_CELLS = 2.0
 #: Fraction of the usual number of points near the seam below which a station does not show a face.
 MIN_COVERAGE = 0.15
 
@@ -84,12 +90,26 @@ def fit_joint(
         concave: whether the corner is concave, seen from the scanner.
         scale: lengths of the scan.
     """
+    fit = _fit_along(points, path, normals, concave, scale, _is_ring(path, scale))
+    if fit is None or fit.closed:
+        return fit
+    turns = _one_round(fit.root, RING_CELLS * scale.cell)
+    if turns is None:
+        return fit
+    sides = (fit.faces.normal[0, :turns], fit.faces.normal[1, :turns])
+    ring = _fit_along(points, fit.root[:turns], sides, concave, scale, True)
+    return ring if ring is not None and ring.closed else fit
+
+
+def _fit_along(
+    points: Floats, path: Floats, normals: tuple[Floats, Floats], concave: bool, scale: Scale, closed: bool
+) -> JointFit | None:
+    """As ``fit_joint``, for a path that is known to be a ring or not."""
     step = max(1.5 * scale.spacing, scale.cell / 2)
     bisector = unit_vectors(normals[0] + normals[1])
-    closed = _is_ring(path, scale)
-    path = _wrapped(path, 6) if closed else path
-    bisector = _wrapped(bisector, 6) if closed else bisector
-    sides = tuple(_wrapped(one, 6) if closed else one for one in normals)
+    count = _overlap(path, scale) if closed else 0
+    path, bisector = _wrapped(path, count), _wrapped(bisector, count)
+    sides = tuple(_wrapped(one, count) for one in normals)
     curve = build_curve(path, bisector, step)
     curve = _smooth(curve, scale.cell, curve.stations, curve.up)
     place = cKDTree(path).query(curve.stations)[1]
@@ -251,21 +271,54 @@ def _is_ring(path: Floats, scale: Scale) -> bool:
     return bool(away[-1] < 2.5 * scale.cell and away.max() > 4 * scale.cell)
 
 
+def _one_round(root: Floats, reach_mm: float) -> int | None:
+    """How many stations of a root (S, 3) make one round of a ring; None where its end does not lead to its start."""
+    away = np.linalg.norm(root - root[0], axis=1)
+    far = int(np.argmax(away > reach_mm))
+    back = far + int(np.argmin(away[far:]))
+    if far == 0 or away[back] > reach_mm:
+        return None
+    start, end = root[RING_STATIONS] - root[0], root[back] - root[back - RING_STATIONS]
+    gap = root[0] - root[back] if away[back] > np.linalg.norm(end) else end
+    onward = vector_angle(start, end) < RING_TURN_RAD and vector_angle(gap, end) < RING_TURN_RAD
+    return back + 1 if onward else None
+
+
+def _overlap(path: Floats, scale: Scale) -> int:
+    """Places by which a ring's path (M, 3) is prolonged at both ends, which then lie over each other."""
+    step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    return min(int(OVERLAP_CELLS * scale.cell / max(step, 1e-9)) + 1, len(path) // 2)
+
+
 def _wrapped(line: Floats, count: int) -> Floats:
+    if count == 0:
+        return line
     return np.concatenate([line[-count:], line, line[:count]])
 
 
 def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
     """One round of a ring that was fitted with its ends lying over each other."""
-    root = fit.root
-    away = np.linalg.norm(root - root[0], axis=1)
+    away = np.linalg.norm(fit.root - fit.root[0], axis=1)
     far = int(np.argmax(away > 3 * scale.cell))
     back = far + int(np.argmin(away[far:]))
     if far == 0 or away[back] > 2 * scale.cell:
         return replace(fit, closed=False)
     here = slice(0, back)
+    root = _joined_smoothly(fit.root[here], scale.cell, fit.curve.step_mm)
     return replace(
-        fit, curve=fit.curve.part(here), root=root[here], sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
+        fit, curve=replace(fit.curve.part(here), stations=root), root=root,
+        sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
         faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
         dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
     )  # fmt: skip
+
+
+def _joined_smoothly(root: Floats, cell_mm: float, step_mm: float) -> Floats:
+    """A ring's root (S, 3) bridged over the few stations at its join, which were the free ends of a fit."""
+    count = min(int(JOIN_CELLS * cell_mm / step_mm) + 1, len(root) // 6)
+    pad = 3 * count
+    known = np.ones(len(root))
+    known[:count] = known[-count:] = 0.0
+    line, weight = (np.concatenate([one[-pad:], one, one[:pad]]) for one in (root, known))
+    smooth = smooth_along(line, weight, cell_mm, step_mm)[pad:-pad]
+    return np.where(known[:, None] > 0, root, smooth)

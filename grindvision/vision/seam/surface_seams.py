@@ -25,7 +25,7 @@ from grindvision.vision.seam.seam_kinds import corner_seam, named_edges, plausib
 from grindvision.vision.seam.seam_tracing import trace_curves
 from grindvision.vision.seam.step_fit import fit_step
 from grindvision.vision.seam.surface_pairs import SurfacePairs, find_pairs
-from grindvision.vision.surface.normals import seen_along
+from grindvision.vision.surface.normals import orient_by_neighbours, seen_along
 from grindvision.vision.surface.surfels import Surfels, build_surfels
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ def surface_seams(
         if cell > diagonal / 12:
             break
         surfels = build_surfels(cloud, cell)
-        normals = _turned(surfels, towards, T_field_cloud)
+        normals = _turned(surfels, towards)
         scale = Scale(spacing, cell, float(np.median(surfels.noise_mm)))
         usable = ~_inside(surfels.points, known, 2 * cell)
         pairs = find_pairs(surfels, normals, usable)
@@ -180,7 +180,7 @@ def _gaps(cloud: Floats, T_field_cloud: Floats, scale: Scale) -> list[Seam]:
     return found
 
 
-def _turned(surfels: Surfels, towards: Floats | None, T_field_cloud: Floats) -> Floats:
+def _turned(surfels: Surfels, towards: Floats | None) -> Floats:
     """Normals (M, 3) of the surfels, facing the scanner."""
     normals = surfels.normals
     if towards is not None:
@@ -189,7 +189,8 @@ def _turned(surfels: Surfels, towards: Floats | None, T_field_cloud: Floats) -> 
     sample = slice(None, None, max(len(surfels) // 2000, 1))
     direction = seen_along(surfels.points[sample], normals[sample], 2.0 * surfels.grid.size_mm)
     if direction is None:
-        direction = rotate_vectors(inverse(T_field_cloud), [0.0, 0.0, 1.0])
+        # Scans merged from several views: no direction sees all of it.
+        return orient_by_neighbours(surfels.points, normals, 2.0 * surfels.grid.size_mm)
     # The bulge of a corner tells the wrong side: without a viewpoint, scanners look down and away from the origin.
     middle = surfels.points.mean(axis=0)[:2]
     outward = middle / max(float(np.linalg.norm(middle)), diagonal_mm(surfels.points))
