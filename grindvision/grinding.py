@@ -22,8 +22,9 @@ from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
-from grindvision.vision.registration.model_registration import diagnose_model, register_to_model
-from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
+from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
+from grindvision.vision.registration.model_registration import diagnose_model
+from grindvision.vision.registration.scan_registration import Registration, StageClock
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -59,11 +60,13 @@ class GrindOptions:
 @by_content
 @dataclass(frozen=True)
 class Compared:
-    """Two scans, registered, and what differs; ``findings`` in words speak against it."""
+    """Two scans, registered, and what differs; ``findings`` in words speak against it; how the part is ``deformed``,
+    where no rigid pose fits."""
 
     registration: Registration
     difference: Difference
     findings: tuple[str, ...]
+    deformed: DeformedPart | None = None
 
 
 @by_content
@@ -156,21 +159,20 @@ def grind(
 
 def compare(sample: ArrayLike | Model, test: ArrayLike, options: GrindOptions, clock: StageClock) -> Compared:
     """Register a pair and find what differs; see ``detect`` for what is refused."""
-    rng, surface = np.random.default_rng(options.seed), None
-    if isinstance(sample, Model):
-        to_model = register_to_model(test, sample, options.viewpoint_test_mm, rng, clock, NAMES)
-        found, surface = to_model.registration, to_model.surface
-    else:
-        found = register_pair(test, sample, (options.viewpoint_test_mm, options.viewpoint_sample_mm), rng, clock, NAMES)
-    reading = read_by(found, options.datum_mm, options.seed)
+    viewpoints_mm = options.viewpoint_test_mm, options.viewpoint_sample_mm
+    registered = register_deformed(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
+    found, deformed, surface = registered.registration, registered.deformed, registered.surface
+    reading = read_by(found, options.datum_mm, options.seed, deformed)
     found = replace(found, fine=reading.registration)
-    difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
+    of_field = None if deformed is None else deformed.field.variances
+    difference = find_change(found.source, found.target, found.fine, settled=reading.settled, place_variance=of_field)
     against = reading.diagnose(nothing_found=not difference.clusters)
     if not reading.off:
         against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
     against += () if surface is None else diagnose_model(surface.facets)
+    against += () if deformed is None else deformed.diagnose()
     clock.lap("difference")
-    return Compared(found, difference, tuple(one for one in against if "material is missing" not in one))
+    return Compared(found, difference, tuple(one for one in against if "material is missing" not in one), deformed)
 
 
 def workpiece(

@@ -36,10 +36,13 @@ if TYPE_CHECKING:
     from grindvision.vision.change.coverage import Coverage
     from grindvision.vision.change.detection import Detection
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
+    from grindvision.vision.registration.deformed_registration import DeformedPart
     from grindvision.vision.surface.facets import Facets
 
 ENOUGH_SHOWN = 0.8
 """Fraction of the test scan on which ``--require-height`` must be met: its rim has nothing to compare with."""
+
+DEFORMATION_FILE = "deformation.csv"
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -48,6 +51,8 @@ results in DIR:
   path.csv         point,x_mm,y_mm,z_mm,nx,ny,nz: path points and outward normals, scanner frame of TEST
   path_base.csv    the same in the robot's base frame, with --scanner-pose or --hand-eye
   difference.ply   the points that stand out, scanner frame of TEST
+  deformation.csv  x_mm,y_mm,z_mm,outward_mm,sigma_mm, where no rigid pose fits: how far the part is bent against SAMPLE
+                   along its outward normal; what stands out is measured above SAMPLE bent like it
   report.png       did it work? the scans before and after, the difference, the path
   report.json      T_sample_test, confidence, beads, timings, versions, parameters, questions; written last
 
@@ -136,7 +141,9 @@ def run(options: argparse.Namespace) -> int:
     field = read_correction(options.field_correction, options.test_viewpoint)
     T_base_scanner = scanner_pose(options)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
-    with Run(options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv",)) as work:
+    with Run(
+        options, ("sample", "test"), libraries, len(STAGES) + 4, outdated=("path_base.csv", DEFORMATION_FILE)
+    ) as work:
         with work.stage("read"):
             sample, test, clouds = read_sample_and_test(options, field, _mirrored(options))
         for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
@@ -159,6 +166,8 @@ def run(options: argparse.Namespace) -> int:
                 normals = rotate_vectors(T_base_scanner, found.path_normals)
                 write_text(work.place / "path_base.csv", rows_text(PATH_COLUMNS, points, normals))
             write_ply(work.place / "difference.ply", found.difference.points)
+            if found.deformed is not None:
+                write_text(work.place / DEFORMATION_FILE, deformation_text(found.deformed))
         with work.stage("picture"):
             draw(found, work.warnings, work.place / "report.png")
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
@@ -238,6 +247,13 @@ def _lacking_height(found: Detection, height_mm: float | None) -> str:
     )
 
 
+def deformation_text(deformed: DeformedPart) -> str:
+    """CSV text of where and how far a part is bent along its outward normal."""
+    rows = zip(deformed.points, deformed.sizes_mm, deformed.sigma_mm, strict=True)
+    lines = [",".join(f"{value:.4f}" for value in (*point, size, sigma)) for point, size, sigma in rows]
+    return "\n".join(["x_mm,y_mm,z_mm,outward_mm,sigma_mm", *lines]) + "\n"
+
+
 def _mirrored(options: argparse.Namespace) -> tuple[str | None, str | None]:
     """For SAMPLE and TEST the axis that counts the wrong way, or None."""
     only = options.mirrored_only
@@ -264,6 +280,7 @@ def _results(found: Detection) -> dict[str, Any]:
             }
             for face in found.faces_off
         ],
+        "deformation": None if found.deformed is None else found.deformed.facts(),
         **({} if found.model is None else {"model": _model(found.model.facets)}),
         "beads": [
             {

@@ -237,6 +237,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
             "T_sample_test": found.T_sample_test,
             "confidence": found.compared.registration.confidence,
             "serials": serials,
+            "deformation": None if found.compared.deformed is None else found.compared.deformed.facts(),
             "stock": {
                 "volume_mm3": found.stock.volume_mm3,
                 "volume_sigma_mm3": found.stock.volume_sigma_mm3,

@@ -134,6 +134,7 @@ def part_table(folder: Path, part: GroundPart | None, refusal: str) -> pd.DataFr
         return pd.DataFrame([*rows, ("detect", f"refused: {refusal}")], columns=["what", "found"])
     rows += [
         ("detect", str(part.found)),
+        ("deformation", "none" if part.found.deformed is None else str(part.found.deformed)),
         ("median distance from the model", f"{np.median(part.from_model_mm):.2f} mm"),
         ("angle to where Open3D's ICP ends", f"{part.icp_deg:.2f} deg"),
         ("chosen points that are not shown", f"{part.missed_percent:.1f} %"),

@@ -135,6 +135,7 @@ def find_change(
     registration: FineRegistration,
     min_surfels: int = 10,
     settled: Flags | None = None,
+    place_variance: Callable[[Floats, Floats], Floats] | None = None,
 ) -> Difference:
     """Where the source, the test part, stands out of the target, the good part, by more than the level of detection.
 
@@ -143,6 +144,8 @@ def find_change(
         min_surfels: connected surfels a piece must have.
         settled: the source's surfels (K,) that fix the pose and show how well the scans agree; all when left out.
             Where faces are off as a whole, the others.
+        place_variance: variances (K,) in mm2 of where the good surface lies along normals (K, 3) at places (K, 3) of
+            the source, beside those of the pose: of a deformed part.
 
     Raises:
         DegenerateError: more than ``MAX_CHANGED`` of the common surface differs.
@@ -165,6 +168,8 @@ def find_change(
     sigma = 1.4826 * np.median(np.abs(signed[held] - np.median(signed[held])))
     field = max(sigma**2 - np.median(variance[held]), 0.0)
     pose = _pose_variance(registration, surfels.points, normals)
+    if place_variance is not None:
+        pose += place_variance(surfels.points, normals)
     # no spot is trusted better than the scans agree over all
     level = 1.96 * np.sqrt(np.maximum(variance + pose + field, sigma**2))
     # a bead is rough itself; only what is rough on both parts, edges and corners, is no sign of one

@@ -16,13 +16,15 @@ from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.coverage import Coverage, find_coverage, same_scan
 from grindvision.vision.change.diagnostics import MIN_OVERLAP, NAMES, diagnose
+from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.datum import refine_on_datum
+from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
 from grindvision.vision.registration.face_offsets import FaceOffset, FaceReading, read_faces
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.model_registration import diagnose_model, register_to_model
-from grindvision.vision.registration.scan_registration import Registration, StageClock, register_pair
+from grindvision.vision.registration.model_registration import diagnose_model
+from grindvision.vision.registration.scan_registration import Registration, StageClock
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface
 from grindvision.vision.surface.scan import Scan
@@ -61,7 +63,8 @@ class Detection:
     ``coarse`` and ``registration`` are the two stages of the registration, ``difference`` what stands out,
     ``coverage`` what could not be seen, ``beads`` the paths, largest first; ``timings_s`` the stages' times. Where the
     sample was a model, ``sample`` is what the test's scanner could see of it, and ``model`` the whole. ``faces_off``:
-    faces that are off as a whole, or those of which one is where the data cannot tell which.
+    faces that are off as a whole, or those of which one is where the data cannot tell which. ``deformed``: how the part
+    is bent against the sample, where no rigid pose fits; ``sample`` is then bent like it.
     """
 
     sample: Scan
@@ -74,6 +77,7 @@ class Detection:
     timings_s: dict[str, float] = field(compare=False)
     model: ModelSurface | None = None
     faces_off: tuple[FaceOffset, ...] = ()
+    deformed: DeformedPart | None = None
 
     @property
     def T_sample_test(self) -> Floats:
@@ -149,17 +153,13 @@ def detect(
     if options.points < 1:
         raise InputError(f"{options.points} path points asked for; at least 1 is needed")
     clock = StageClock(finished)
-    surface = None
     viewpoints_mm = options.viewpoint_test_mm, options.viewpoint_sample_mm
-    rng = np.random.default_rng(options.seed)
-    if isinstance(sample, Model):
-        to_model = register_to_model(test, sample, viewpoints_mm[0], rng, clock, NAMES)
-        found, surface = to_model.registration, to_model.surface
-    else:
-        found = register_pair(test, sample, viewpoints_mm, rng, clock, NAMES)
-    reading = read_by(found, options.datum_mm, options.seed)
+    registered = register_deformed(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
+    found, deformed, surface = registered.registration, registered.deformed, registered.surface
+    reading = read_by(found, options.datum_mm, options.seed, deformed)
     found = replace(found, fine=reading.registration)
-    difference = find_change(found.source, found.target, found.fine, settled=reading.settled)
+    of_field = None if deformed is None else deformed.field.variances
+    difference = find_change(found.source, found.target, found.fine, settled=reading.settled, place_variance=of_field)
     clock.lap("difference")
     coverage = find_coverage(found.source, found.target, found.fine, difference)
     against = reading.diagnose(nothing_found=not difference.clusters)
@@ -167,8 +167,9 @@ def detect(
         against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
     against += _unseen(found, difference, coverage)
     against += () if surface is None else diagnose_model(surface.facets)
+    against += () if deformed is None else deformed.diagnose()
     try:
-        beads = _follow(difference, options.points, one_face=reading.settled is not None)
+        beads = _follow(difference, options.points, reading.settled is not None, deformed)
     except DegenerateError as error:
         raise DegenerateError("; and ".join((str(error), *against))) from None
     clock.lap("path")
@@ -176,16 +177,44 @@ def detect(
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Detection(
         found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s, surface,
-        reading.off,
+        reading.off, deformed,
     )  # fmt: skip
 
 
-def read_by(found: Registration, datum_mm: ArrayLike | None, seed: int) -> FaceReading:
-    """The pose by the datum, where one is given, else by all faces but one that the others contradict."""
+def read_by(
+    found: Registration, datum_mm: ArrayLike | None, seed: int, deformed: DeformedPart | None = None
+) -> FaceReading:
+    """The pose by the datum, where one is given, else by all faces but one that the others contradict; that of a
+    ``deformed`` part goes with its field.
+
+    Raises:
+        InputError: a datum for a deformed part.
+    """
+    if deformed is not None:
+        if datum_mm is not None:
+            raise InputError(f"a datum fixes no pose of a part that is {deformed}; leave --datum out")
+        return FaceReading(found.fine, (), True, None, ())
     if datum_mm is None:
         return read_faces(found.source, found.target, found.fine, seed)
     fine, settled = refine_on_datum(found.source, found.target, found.fine, datum_mm)
     return FaceReading(fine, (), True, settled, ())
+
+
+def check_narrow(cluster: Cluster, deformed: DeformedPart) -> None:
+    """Refuse a path on a piece that may be bending which the field has no term for.
+
+    Raises:
+        NoPathError: it is as wide as half a wave of the field.
+    """
+    widest = deformed.field.scale_mm / (2 * deformed.field.order)
+    _, sizes, _ = np.linalg.svd(cluster.points - cluster.points.mean(axis=0), full_matrices=False)
+    width = float(np.sqrt(12) * sizes[1] / np.sqrt(len(cluster.points)))
+    if width > widest:
+        raise NoPathError(
+            f"{cluster.area_mm2:.3g} mm2 about ({', '.join(f'{v:.0f}' for v in cluster.points.mean(axis=0))}) mm,"
+            f" {width:.3g} mm wide on a deformed part: it may be bent there more finely than the field tells"
+            f" ({widest:.3g} mm), so it is stock only if you know it to be"
+        )
 
 
 def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:
@@ -242,15 +271,18 @@ def _noisier(found: Registration, coverage: Coverage) -> str:
     )
 
 
-def _follow(difference: Difference, points: int, one_face: bool) -> tuple[BeadPath, ...]:
+def _follow(difference: Difference, points: int, one_face: bool, deformed: DeformedPart | None) -> tuple[BeadPath, ...]:
     """Paths of all pieces; one without a path on it, or that branches and is not the largest, is left out with a
-    warning; ``one_face``: the largest is a face that is off as a whole."""
+    warning; ``one_face``: the largest is a face that is off as a whole. On a ``deformed`` part a wide piece may be
+    bending of a higher order, and gets none."""
     beads = []
     for rank, cluster in enumerate(difference.clusters):
         try:
+            if deformed is not None:
+                check_narrow(cluster, deformed)
             beads.append(trace_bead(cluster, points))
         except DegenerateError as error:
-            if rank == 0 and not (one_face or isinstance(error, NoPathError)):
+            if rank == 0 and not (one_face or deformed is not None or isinstance(error, NoPathError)):
                 raise
             warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
     return tuple(beads)

@@ -96,12 +96,20 @@ def register_to_model(
         raise
     clock.lap("verification")
     draws = rng.spawn(1)[0]
-    eye = _eye(prepared, coarse.registration.T_target_source)
-    target = whole if eye is None else scan_seen_from(surface, resolution, eye)
+    target = model_at_pose(prepared, whole, surface, resolution, coarse.registration.T_target_source)
     fine = refine(prepared, target, coarse, draws)
     warn_of_findings(prepared, coarse, fine, names)
     clock.lap("icp")
     return ModelRegistration(Registration(prepared, target, coarse, fine, clock.laps_s), surface)
+
+
+def model_at_pose(
+    source: Scan, whole: Scan, surface: ModelSurface, resolution: Resolution, T_target_source: Floats
+) -> Scan:
+    """What the source's scanner could see of a model at a pose (4, 4), all of it where the scanner's place is not
+    known."""
+    eye = _eye(source, T_target_source)
+    return whole if eye is None else scan_seen_from(surface, resolution, eye)
 
 
 def check_unit_of_model(source: Floats, surface: ModelSurface, names: PairNames) -> None:
