@@ -8,6 +8,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
+from grindvision.cli.deformation_file import DEFORMATION_FILE, deformation_text
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
@@ -36,13 +37,10 @@ if TYPE_CHECKING:
     from grindvision.vision.change.coverage import Coverage
     from grindvision.vision.change.detection import Detection
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
-    from grindvision.vision.registration.deformed_registration import DeformedPart
     from grindvision.vision.surface.facets import Facets
 
 ENOUGH_SHOWN = 0.8
 """Fraction of the test scan on which ``--require-height`` must be met: its rim has nothing to compare with."""
-
-DEFORMATION_FILE = "deformation.csv"
 
 PATH_COLUMNS = "point,x_mm,y_mm,z_mm,nx,ny,nz"
 
@@ -245,13 +243,6 @@ def _lacking_height(found: Detection, height_mm: float | None) -> str:
         f"a bead of {height_mm:g} mm (--require-height) would not be told on {blind:.0%} of the test scan{where}; scan"
         " nearer, with less noise, or from where both scans show the surface"
     )
-
-
-def deformation_text(deformed: DeformedPart) -> str:
-    """CSV text of where and how far a part is bent along its outward normal."""
-    rows = zip(deformed.points, deformed.sizes_mm, deformed.sigma_mm, strict=True)
-    lines = [",".join(f"{value:.4f}" for value in (*point, size, sigma)) for point, size, sigma in rows]
-    return "\n".join(["x_mm,y_mm,z_mm,outward_mm,sigma_mm", *lines]) + "\n"
 
 
 def _mirrored(options: argparse.Namespace) -> tuple[str | None, str | None]:
