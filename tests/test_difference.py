@@ -21,6 +21,7 @@ from grindvision.geometry import (
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.change_detection import find_change, find_change_paper
 from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.diagnostics import missing_pieces
 from grindvision.vision.change.oriented_box import box_path, minimal_box
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import trace_bead
@@ -100,6 +101,21 @@ def test_a_good_part_has_nothing_to_grind():
         assert found.beads == ()
         assert found.path_points.shape == (0, 3)
         assert "nothing to grind above the level of detection of 0." in str(found)
+
+
+def test_no_piece_is_lower_than_what_may_bend_the_pose_hides(found):
+    slide = np.zeros((6, 6))
+    up = found.beads[0].normals.mean(axis=0)
+    for hidden_mm, pieces in ((0.2, 1), (1.0, 0)):
+        slide[:3, :3] = hidden_mm**2 * np.outer(up, up)
+        bent = replace(found.registration, hidden_covariance=slide)
+        difference = find_change(found.test, found.sample, bent)
+        assert len(difference.clusters) == pieces
+        assert difference.level_of_detection_mm == pytest.approx(1.96 * hidden_mm, rel=0.1)
+        back = inverse(bent.T_target_source)
+        turned = np.kron(np.eye(2), back[:3, :3])
+        swapped = replace(bent, T_target_source=back, hidden_covariance=turned @ slide @ turned.T)
+        assert len(missing_pieces(found.sample, found.test, swapped)) == pieces
 
 
 def test_a_coarse_test_scan_says_which_beads_it_would_not_show():

@@ -167,14 +167,18 @@ def find_change(
     held = shown if settled is None or (shown & settled).sum() < 10 else shown & settled
     sigma = 1.4826 * np.median(np.abs(signed[held] - np.median(signed[held])))
     field = max(sigma**2 - np.median(variance[held]), 0.0)
-    pose = _pose_variance(registration, surfels.points, normals)
-    if place_variance is not None:
+    pose = _pose_variance(registration, registration.covariance, surfels.points, normals)
+    # no spot is trusted better than the scans agree over all, or than the pose is known with what may bend it
+    floor = np.full(len(signed), sigma**2)
+    if place_variance is None:
+        hidden = _pose_variance(registration, registration.total_covariance, surfels.points, normals)
+        floor = np.maximum(floor, hidden)
+    else:
         pose += place_variance(surfels.points, normals)
-    # no spot is trusted better than the scans agree over all
-    level = 1.96 * np.sqrt(np.maximum(variance + pose + field, sigma**2))
+    level = 1.96 * np.sqrt(np.maximum(variance + pose + field, floor))
     # a bead is rough itself; only what is rough on both parts, edges and corners, is no sign of one
     shared = np.minimum(excess, _excess_below(surface, surfels.points, signed, normals))
-    firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, sigma**2))
+    firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, floor))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
     if changed[held].sum() > MAX_CHANGED * held.sum():
         raise DegenerateError(
@@ -207,14 +211,15 @@ def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Flo
     return np.where(np.diff(around.starts) > 0, highest, np.inf)
 
 
-def _pose_variance(registration: FineRegistration, points: Floats, normals: Floats) -> Floats:
-    """Variance (N,) of distances that comes from the pose: steep places feel translations across the surface."""
-    if not np.isfinite(registration.covariance).all():
+def _pose_variance(registration: FineRegistration, covariance: Floats, points: Floats, normals: Floats) -> Floats:
+    """Variance (N,) of distances that comes from the pose's covariance: steep places feel translations across the
+    surface."""
+    if not np.isfinite(covariance).all():
         return np.zeros(len(points))
     transform = registration.T_target_source
     up = rotate_vectors(transform, normals)
     jacobian = np.column_stack([up, np.cross(move_points(transform, points) - registration.centre_mm, up)])
-    return np.einsum("ij,ij->i", jacobian @ registration.covariance, jacobian)
+    return np.einsum("ij,ij->i", jacobian @ covariance, jacobian)
 
 
 def _far_distances(target: Scan, T_source_target: Floats, points: Floats, size: float) -> tuple[Floats, Floats]:

@@ -73,6 +73,7 @@ def missing_pieces(source: Scan, target: Scan, registration: FineRegistration) -
         registration,
         T_target_source=back,
         covariance=rotation @ registration.covariance @ rotation.T,
+        hidden_covariance=rotation @ registration.hidden_covariance @ rotation.T,
         centre_mm=move_points(back, registration.centre_mm),
     )
     try:
