@@ -9,7 +9,7 @@ from grindvision.arm.model import urdf_model
 from grindvision.arm.urdf import mesh_files
 from grindvision.arm.urdf_chain import urdf_arm
 from grindvision.data_files import data_folder
-from grindvision.errors import FileError, UnitError
+from grindvision.errors import FileError, GrindvisionWarning, UnitError
 from grindvision.motion import urdf_robot, welding_torch
 
 
@@ -171,5 +171,9 @@ def test_a_table_in_degrees_and_metres_is_converted_by_its_names(tmp_path):
     rows = [[0, 0, 321.5, 0, 0], [np.pi / 2, 50, 0, np.pi / 2, np.radians(0.1)]]
     np.testing.assert_allclose(arm.table, rows, atol=1e-12)
     (tmp_path / "r.csv").write_text(f"joint,{','.join(PARAMETERS)}\nJ1,0,0,0.3215,0,0\nJ2,1.57,0.05,0,0,0\n")
+    with pytest.warns(GrindvisionWarning, match="add up to 0.3715 mm, as of a positioner .* name them a_m and d_m"):
+        read_arm(tmp_path / "r.csv")
+    rows = "".join(f"J{joint},0,0.3,0,0,0\n" for joint in range(1, 5))
+    (tmp_path / "r.csv").write_text(f"joint,{','.join(PARAMETERS)}\n{rows}")
     with pytest.raises(UnitError, match="name them a_m and d_m"):
         read_arm(tmp_path / "r.csv")

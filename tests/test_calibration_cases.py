@@ -10,7 +10,7 @@ import pytest
 from grindvision.arm import MdhArm, read_arm, write_arm
 from grindvision.calibration import Measurements, Options, calibrate, predict_errors, residuals_of
 from grindvision.calibration.joint_terms import JointCorrections, JointTerm
-from grindvision.errors import GrindvisionError
+from grindvision.errors import GrindvisionError, GrindvisionWarning
 from tests.calibration_rig import Rig, er3a, rig, ur5
 
 RNG_SEED = 11
@@ -176,7 +176,8 @@ def test_an_arm_that_is_held_says_what_it_leaves_and_predicts_no_less(rng):
 
 def test_the_table_of_a_calibrated_positioner_can_be_read_again(tmp_path):
     write_arm(MdhArm([[0, 0, 0, 0, 0], [-np.pi / 2, 0.64, 0.1, np.pi / 2, 0]], ("tilt", "turn")), tmp_path / "r.csv")
-    assert read_arm(tmp_path / "r.csv").table[1, 1] == 0.64
+    with pytest.warns(GrindvisionWarning, match="as of a positioner"):
+        assert read_arm(tmp_path / "r.csv").table[1, 1] == 0.64
 
 
 def test_a_known_distance_of_sockets_is_held_against_the_arm(rng):

@@ -90,7 +90,7 @@ def bad_cases(case, folder):
     yield "one_point", case.test[:1], "at least 500", ()
     yield "all_nan", np.full((600, 3), np.nan), "NaN", ()
     yield "metres", case.test / 1000, "--unit m", ()
-    yield "one_place", np.zeros((600, 3)) + 400, "1 points given", ()
+    yield "one_place", np.zeros((600, 3)) + 400, "all 600 finite points are 400 400 400", ()
     yield "a_line", np.column_stack([np.linspace(0, 99, 900), np.zeros(900), np.full(900, 400.0)]), "", ()
     yield "another_part", plane, "", ()
     yield "far_outlier", np.vstack([case.test, [[0, 0, 1e12]]]), "outliers", ()

@@ -140,7 +140,12 @@ def test_a_read_only_installation_without_a_home(package, tmp_path):
     prepared = package / "__pycache__" / "kernels"
     temporary = tmp_path / "tmp"
     temporary.mkdir(mode=0o555)
-    without = {"HOME": "/nonexistent", "TMPDIR": str(temporary), "PYTHONDONTWRITEBYTECODE": "1", "XDG_CACHE_HOME": ""}
+    without = {
+        "HOME": "/proc/nonexistent",
+        "TMPDIR": str(temporary),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "XDG_CACHE_HOME": "",
+    }
     try:
         _set_rights(package, 0o555)
         assert _twice(package, **without) == (2, 0)

@@ -7,13 +7,14 @@ coordinate, in mm, to d instead: ``Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d + q)`
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.errors import FileError, InputError, UnitError
+from grindvision.errors import FileError, GrindvisionWarning, InputError, UnitError
 from grindvision.files import column_names, read_table, write_text
 from grindvision.records import by_content
 
@@ -148,9 +149,16 @@ def read_arm(path: str | Path) -> MdhArm:
     except UnitError as error:
         raise UnitError(f"{path}: {error}") from None
     reach = float(np.abs(arm.table[:, 1:3]).sum())
-    if not (SHORTEST_MM < reach < LONGEST_MM or (reach <= SHORTEST_MM and arm.n <= 3)):
-        raise UnitError(
-            f"{path}: the links add up to {reach:.4g} mm, which is no arm; give a and d in mm, or name them a_m and d_m"
+    if SHORTEST_MM < reach < LONGEST_MM:
+        return arm
+    small = f"{path}: the links add up to {reach:.4g} mm"
+    if reach > SHORTEST_MM or arm.n > 3:
+        raise UnitError(f"{small}, which is no arm; give a and d in mm, or name them a_m and d_m")
+    if reach > 0.1:
+        warnings.warn(
+            f"{small}, as of a positioner whose axes nearly meet; if these are metres, name them a_m and d_m",
+            GrindvisionWarning,
+            stacklevel=2,
         )
     return arm
 
