@@ -24,6 +24,7 @@ from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.pieces import Cluster, Speck, Standing, find_pieces
 from grindvision.vision.change.visibility import in_free_space, in_front, surrounded
+from grindvision.vision.registration.free_motions import is_hardly_known
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surface.signed_distance import signed_distances
@@ -168,13 +169,13 @@ def find_change(
     sigma = 1.4826 * np.median(np.abs(signed[held] - np.median(signed[held])))
     field = max(sigma**2 - np.median(variance[held]), 0.0)
     pose = _pose_variance(registration, registration.covariance, surfels.points, normals)
-    # no spot is trusted better than the scans agree over all, or than the pose is known with what may bend it
+    # no spot is trusted better than the scans agree over all, or than a pose that is hardly known
     floor = np.full(len(signed), sigma**2)
-    if place_variance is None:
+    if place_variance is not None:
+        pose += place_variance(surfels.points, normals)
+    elif is_hardly_known(registration, surfels.points[:: max(1, len(surfels) // 500)]):
         hidden = _pose_variance(registration, registration.total_covariance, surfels.points, normals)
         floor = np.maximum(floor, hidden)
-    else:
-        pose += place_variance(surfels.points, normals)
     level = 1.96 * np.sqrt(np.maximum(variance + pose + field, floor))
     # a bead is rough itself; only what is rough on both parts, edges and corners, is no sign of one
     shared = np.minimum(excess, _excess_below(surface, surfels.points, signed, normals))

@@ -10,6 +10,9 @@ from grindvision.vision.registration.icp import FineRegistration
 
 Floats = NDArray[np.float64]
 
+HARDLY_KNOWN = 0.01
+"""Standard deviation of a point's place, as a fraction of the scan's extent, above which it is said."""
+
 
 def weakest_motion(found: FineRegistration, points: Floats) -> tuple[float, Floats]:
     """How far in mm, by one standard deviation of the pose, any of a source's points (N, 3) may lie off, and the pose
@@ -25,6 +28,16 @@ def weakest_motion(found: FineRegistration, points: Floats) -> tuple[float, Floa
     twist = covariance @ jacobians[worst].T @ directions[worst, :, -1] / max(sigma, 1e-300)
     to_centre, back = rigid(None, -found.centre_mm), rigid(None, found.centre_mm)
     return sigma, back @ small_motion(twist) @ to_centre @ found.T_target_source
+
+
+def rms_extent(points: Floats) -> float:
+    """Root mean square distance in mm of points (N, 3) from their middle."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def is_hardly_known(found: FineRegistration, points: Floats) -> bool:
+    """Whether a source's points (N, 3) may lie off by more than ``HARDLY_KNOWN`` of their extent, by one sigma."""
+    return weakest_motion(found, points)[0] > HARDLY_KNOWN * rms_extent(points)
 
 
 def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: float) -> str:

@@ -16,7 +16,7 @@ from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
-from grindvision.vision.registration.free_motions import motion_name, weakest_motion
+from grindvision.vision.registration.free_motions import HARDLY_KNOWN, motion_name, rms_extent, weakest_motion
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
@@ -42,8 +42,8 @@ ALONE = 0.9
 """Scans that are ambiguous as they are do fit as a mirror image where that fits in one pose alone, this surely."""
 
 
-HARDLY_KNOWN, OPEN = 0.01, 0.06
-"""Standard deviations of a point's place, as fractions of the scan's extent, above which it is said, and refused."""
+OPEN = 0.06
+"""Standard deviation of a point's place, as a fraction of the scan's extent, above which the pose is refused."""
 
 LEFT_HANDED = "exported left-handed (two axes swapped, or one with the wrong sign)"
 
@@ -214,7 +214,7 @@ def warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration,
             large.
     """
     points = source.surfels.points[:: max(1, len(source.surfels) // 500)]
-    extent = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    extent = rms_extent(points)
     sigma, deviated = weakest_motion(fine, points)
     motion = motion_name(deviated, fine.T_target_source, points.mean(axis=0), extent) if np.isfinite(sigma) else ""
     if sigma > OPEN * extent:
