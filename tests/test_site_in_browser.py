@@ -144,12 +144,16 @@ def test_a_pipeline_plays_steps_to_its_end_and_hides_layers_by_touch_too(whole_s
     last = int(page.locator("#step").get_attribute("max"))
     page.locator("#play").tap()
     page.wait_for_function("() => document.body.dataset.step === '1'")
+    page.locator("#next").tap()  # ends the playing, wherever it is by then
+    assert page.locator("body").get_attribute("data-playing") == "false"
+    first = int(page.locator("body").get_attribute("data-step"))
+    assert 2 <= first <= last // 2
     told = {page.locator("#title").text_content()}
-    for number in range(2, last + 1):
+    for number in range(first + 1, last + 1):
         page.locator("#next").tap()
         assert page.locator("body").get_attribute("data-step") == str(number)
         told.add(page.locator("#title").text_content())
-    assert len(told) == last and page.locator("body").get_attribute("data-playing") == "false"
+    assert len(told) == last - first + 1
     page.locator("#step").fill("1")
     stage = page.locator("#stage")
     drawn = _awaited(page, stage, lambda picture: _drawn_share(picture) > 0.02)
