@@ -173,7 +173,7 @@ def test_a_table_in_degrees_and_metres_is_converted_by_its_names(tmp_path):
     (tmp_path / "r.csv").write_text(f"joint,{','.join(PARAMETERS)}\nJ1,0,0,0.3215,0,0\nJ2,1.57,0.05,0,0,0\n")
     with pytest.warns(GrindvisionWarning, match="add up to 0.3715 mm, as of a positioner .* name them a_m and d_m"):
         read_arm(tmp_path / "r.csv")
-    rows = "".join(f"J{joint},0,0.3,0,0,0\n" for joint in range(1, 5))
-    (tmp_path / "r.csv").write_text(f"joint,{','.join(PARAMETERS)}\n{rows}")
+    links = "".join(f"J{joint},0,0.3,0,0,0\n" for joint in range(1, 5))
+    (tmp_path / "r.csv").write_text(f"joint,{','.join(PARAMETERS)}\n{links}")
     with pytest.raises(UnitError, match="name them a_m and d_m"):
         read_arm(tmp_path / "r.csv")
