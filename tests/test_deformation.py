@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 
 from grindvision import GrindOptions, detect, grind
 from grindvision.clouds import finite_points, read_cloud
-from grindvision.errors import DegenerateError, FileError
+from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors, rotation_about
-from grindvision.measured import find_measured
 from grindvision.vision.registration.deformation import Deformation, powers_of, zero_field
 from grindvision.vision.registration.deformation_fit import fit_deformation
 from grindvision.vision.registration.plane_icp import icp_planes
@@ -237,22 +236,13 @@ def test_too_few_points_tell_no_field():
         fit_deformation(points, normals, target.surfels, start)
 
 
-def dac():
-    """SAMPLE and TEST of the real deformed part; skips where they are absent."""
-    try:
-        folder = find_measured("dac")
-    except FileError as absent:
-        pytest.skip(str(absent))
-    return [finite_points(read_cloud(folder / "dac" / name, "m"), name) for name in ("sample.ply", "test.ply")]
-
-
-def test_the_real_deformed_part_is_registered_and_not_refused():
-    sample, test = dac()
+def test_the_real_deformed_part_is_registered_and_not_refused(real_data):
+    sample, test = (finite_points(read_cloud(real_data(f"dac/{name}.ply"), "m"), name) for name in ("sample", "test"))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = detect(sample, test)
     assert any("deformed against the sample by up to" in str(one.message) for one in caught)
-    assert 8 < found.deformed.max_mm < 25  # 1 to 16 mm by an independent fit
+    assert 8 < found.deformed.max_mm < 25  # up to 16 mm by the description of the data
     assert found.deformed.explained > 0.85
     assert found.confidence > 0.5
     near = cKDTree(found.sample.points).query(move_points(found.T_sample_test, test[::20]))[0]

@@ -4,7 +4,6 @@ import functools
 import http.server
 import json
 import re
-import shutil
 import subprocess
 import sys
 import threading
@@ -17,9 +16,10 @@ from grindvision.errors import GrindvisionError
 from grindvision_book.machinery.places import BUILD, NOTEBOOKS
 from grindvision_book.site import in_browser
 from grindvision_book.site.in_browser import IN_BROWSER, build_in_browser
+from grindvision_book.site.pdf import installed_chromium
 
 PAGES = BUILD / "lite" / "pages"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = installed_chromium()
 
 #: Imports every exercise, checks its right solution, and refuses all modules that Pyodide is not given.
 CHECK_ALL = """

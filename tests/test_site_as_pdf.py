@@ -1,7 +1,6 @@
 """The book as one PDF: its links, the page numbers of its contents, no empty page, no box beyond the paper."""
 
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from grindvision_book.site.printed import pages_in_order
 pypdf = pytest.importorskip("pypdf", reason="reading the PDF needs the package pypdf")
 pytest.importorskip("playwright.sync_api", reason="printing needs the package playwright")
 needs_chromium = pytest.mark.skipif(
-    not any(map(shutil.which, pdf.CHROMIUMS)), reason="no Chromium on this machine; install the package chromium"
+    pdf.installed_chromium() is None, reason="no Chromium on this machine; install the package chromium"
 )
 
 #: Pages with formulas, figures, code, wide tables and links to each other: what an everyday run prints.

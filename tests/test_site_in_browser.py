@@ -3,7 +3,6 @@
 import functools
 import io
 import re
-import shutil
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -11,11 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from grindvision_book.site.pdf import installed_chromium
 from grindvision_book.site.pipelines import PLAYBACKS
 from grindvision_book.site.scenes import SCENES
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need the package playwright")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = installed_chromium()
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; install the package chromium"),

@@ -20,7 +20,7 @@ from grindvision.calibration.joint_terms import (
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.model import CarriedPoints
 from grindvision.calibration.wave_search import LinearFit, Wave
-from grindvision.geometry import skew
+from grindvision.geometry import motion_columns
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -92,8 +92,7 @@ def _session_causes(points: CarriedPoints, measurements: Measurements) -> list[C
     motions = _carried_motions(points, measurements)
     causes = []
     if measurements.tracked.all():
-        away = _turning(measurements.tracker_mm - measurements.tracker_mm.mean(axis=0))
-        motion = np.concatenate([np.broadcast_to(np.eye(3), (rows, 3, 3)), away], axis=2)
+        motion = motion_columns(measurements.tracker_mm - measurements.tracker_mm.mean(axis=0))
         motions.insert(0, ("jump", "", "the tracker or the arm's base was moved", motion))
         causes += _drifts(motion, measurements.tracker_mm)
     bars = np.isfinite(measurements.bar_mm) & ~measurements.tracked
@@ -160,8 +159,7 @@ def _carried_motions(points: CarriedPoints, measurements: Measurements) -> list[
     rotation = (points.cell.T_tracker_base @ points.frames[:, -1])[:, :3, :3]
     frame = " in the frame of the last joint"
     if not measurements.on_tool:
-        turning = rotation @ _turning(points.joint_mm)
-        return [("slip", frame, "the scanner was moved on it", np.concatenate([rotation, turning], axis=2))]
+        return [("slip", frame, "the scanner was moved on it", rotation @ motion_columns(points.joint_mm))]
     if not measurements.reflectors:
         return [("slip", frame, "the reflector or the tip slipped on the tool", rotation)]
     return [
@@ -275,8 +273,3 @@ def _sphere_causes(measurements: Measurements) -> list[Cause]:
 
         causes.append(Cause("sphere", eye, off, course=own))
     return causes
-
-
-def _turning(points: Floats) -> Floats:
-    """Columns (M, 3, 3): how a small rotation about x, y, z moves points (M, 3)."""
-    return -skew(points)

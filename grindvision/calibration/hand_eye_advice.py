@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from grindvision.calibration.hand_eye import HandEye, carriers
 from grindvision.calibration.hand_eye_fit import FitOptions, weighted_jacobian
 from grindvision.calibration.hand_eye_starts import rotation_rms
-from grindvision.geometry import inverse, move_points, nearest_rotation, rigid, rotation_about, skew
+from grindvision.geometry import inverse, motion_columns, move_points, nearest_rotation, rigid, rotation_about
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -159,7 +159,7 @@ def _inverted(information: Floats) -> Floats:
 
 def _knowledge(covariance: Floats, T_parent_camera: Floats, place: Floats) -> Knowledge:
     lever = move_points(T_parent_camera, place) - T_parent_camera[:3, 3]
-    at_target = np.hstack([np.eye(3), -skew(lever)])
+    at_target = motion_columns(lever)
     parts = (covariance[:3, :3], covariance[3:, 3:], at_target @ covariance @ at_target.T)
     place_mm, rotation_rad, target_mm = (float(np.sqrt(max(np.linalg.eigvalsh(part)[-1], 0.0))) for part in parts)
     return Knowledge(place_mm, float(np.degrees(rotation_rad)), target_mm)

@@ -12,7 +12,7 @@ from grindvision.arm import MdhArm, joint_transforms, joint_twists, moved_by_twi
 from grindvision.calibration.joint_terms import JointCorrections, bases_of
 from grindvision.calibration.measurements import Measurements
 from grindvision.calibration.unknowns import Unknowns
-from grindvision.geometry import move_points, skew, small_motion
+from grindvision.geometry import motion_columns, move_points, small_motion
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -92,7 +92,7 @@ class CarriedPoints:
         """How each unknown moves each point in the tracker's frame, (M, 3, K), see ``design_matrix``."""
         columns = []
         if unknowns.scanner:
-            columns.append(self.frames[..., -1, :3, :3] @ _motion_columns(self.joint_mm)[..., : unknowns.scanner])
+            columns.append(self.frames[..., -1, :3, :3] @ motion_columns(self.joint_mm)[..., : unknowns.scanner])
         if unknowns.table:
             twists = parameter_twists(self.cell.arm, self.q_rad, self.frames)[..., list(unknowns.table)]
             columns.append(moved_by_twist(twists, self.base_mm))
@@ -107,7 +107,7 @@ class CarriedPoints:
         if unknowns.fixtures:
             columns.append(self.cell.T_tracker_base[:3, :3].T @ self._fixture_columns(unknowns))
         if unknowns.base:
-            columns.append(_motion_columns(self.base_mm))
+            columns.append(motion_columns(self.base_mm))
         return self.cell.T_tracker_base[:3, :3] @ np.concatenate(columns, axis=-1)
 
     def jacobian(self) -> Floats:
@@ -249,8 +249,3 @@ def _moved_fixtures(fixtures_mm: Floats, unknowns: Unknowns, steps: Floats) -> F
         else:
             moved[number, :3] += steps[number]
     return moved
-
-
-def _motion_columns(points: Floats) -> Floats:
-    translations = np.broadcast_to(np.eye(3), (*points.shape[:-1], 3, 3))
-    return np.concatenate([translations, -skew(points)], axis=-1)

@@ -127,6 +127,13 @@ def skew(vectors: ArrayLike) -> Floats:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*v.shape[:-1], 3, 3)
 
 
+def motion_columns(points: ArrayLike) -> Floats:
+    """How a small motion (6,), translation first and then rotation vector about the origin, moves points (..., 3):
+    matrices (..., 3, 6)."""
+    points = np.asarray(points, dtype=float)
+    return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -skew(points)], axis=-1)
+
+
 def rotation_about(axis: ArrayLike, angle_rad: float) -> Floats:
     """Rotation matrix (3, 3) by ``angle_rad`` about ``axis`` (3,), of any length but zero."""
     axis = np.asarray(axis, dtype=float)

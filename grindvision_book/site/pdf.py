@@ -17,7 +17,7 @@ from grindvision_book.site.printed import printed_book
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-#: Where Chromium is looked for, besides the copy that playwright installs itself.
+#: Names under which Chromium is looked for on the path.
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 #: Widths of the text on A4 upright and across, in the pixels of a browser (96 an inch): 174 and 261 mm.
@@ -72,6 +72,11 @@ def write_pdf(site: Path, figures: Path, target: Path, edition: str, address: st
     return target
 
 
+def installed_chromium() -> str | None:
+    """Path of Chromium or Chrome; None where there is none."""
+    return next(filter(None, map(shutil.which, CHROMIUMS)), None)
+
+
 def find_chromium() -> str:
     """Path of Chromium or Chrome.
 
@@ -82,7 +87,7 @@ def find_chromium() -> str:
         raise GrindvisionError(
             f"the PDF needs {', '.join(missing)}; install what environment.txt pins: ./run site --pdf"
         )
-    found = next(filter(None, map(shutil.which, CHROMIUMS)), None)
+    found = installed_chromium()
     if found is None:
         raise GrindvisionError(
             f"the PDF is printed by Chromium, and none of {', '.join(CHROMIUMS)} is on the path; install Chromium "

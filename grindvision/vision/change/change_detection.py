@@ -173,7 +173,7 @@ def find_change(
     floor = np.full(len(signed), sigma**2)
     if place_variance is not None:
         pose += place_variance(surfels.points, normals)
-    elif is_hardly_known(registration, surfels.points[:: max(1, len(surfels) // 500)]):
+    elif is_hardly_known(registration, surfels.points):
         hidden = _pose_variance(registration, registration.total_covariance, surfels.points, normals)
         floor = np.maximum(floor, hidden)
     level = 1.96 * np.sqrt(np.maximum(variance + pose + field, floor))

@@ -69,6 +69,9 @@ MAX_SIZE = 0.08
 CLEARLY = 1.5
 """Another pose with a field of its own is ruled out where it leaves so many times the spread."""
 
+HALF, NEARLY_ALL = 0.5, 0.9
+"""Fractions of the common surface in agreement that count for nothing and for all of the confidence."""
+
 WITHIN = 0.03
 """Surfaces that are nearer to each other than this part of the test scan's extent count as the same while poses are
 sought: so much a part may be bent."""
@@ -224,8 +227,7 @@ def _by_field(
     ratio = min((other.spread_mm / best.spread_mm for other in rivals), default=np.inf)
     if ratio < CLEARLY:
         raise DegenerateError(f"another pose fits nearly as well with a deformation of its own ({ratio:.2f} times off)")
-    confidence = float(np.clip((found.fraction_of_overlap - 0.5) / 0.4, 0, 1)) * (1 - 0.5 * (CLEARLY / ratio) ** 2)
-    verified = VerifiedPose(best.registration, found, Agreement(0.0, 0.0), confidence)
+    verified = VerifiedPose(best.registration, found, Agreement(0.0, 0.0), _confidence(found, ratio))
     clock.lap("icp")
     normals = scan.surfels.normals[chosen]
     sizes = -(best.field.displacements(best.points) * normals).sum(axis=1)
@@ -235,6 +237,13 @@ def _by_field(
     )  # fmt: skip
     registration = Registration(scan, bent, verified, best.registration, clock.laps_s)
     return DeformedRegistration(registration, deformed, surface)
+
+
+def _confidence(found: Agreement, ratio: float) -> float:
+    """A mark from 0 to 1 for the agreement and for how clearly (``ratio`` of the spreads) the next pose is ruled out:
+    no probability, as rigid poses have it, since no error model says how parts are deformed."""
+    agreeing = float(np.clip((found.fraction_of_overlap - HALF) / (NEARLY_ALL - HALF), 0, 1))
+    return agreeing * (1 - 0.5 * (CLEARLY / ratio) ** 2)
 
 
 def _fits(scan: Scan, good: Scan, candidates: Sequence[Candidate], chosen: Integers) -> list[DeformationFit]:

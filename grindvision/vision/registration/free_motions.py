@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from grindvision.geometry import angle_between, inverse, move_points, rigid, rotation_axis, skew, small_motion
+from grindvision.geometry import angle_between, inverse, motion_columns, move_points, rigid, rotation_axis, small_motion
 from grindvision.vision.registration.icp import FineRegistration
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,7 @@ def weakest_motion(found: FineRegistration, points: Floats) -> tuple[float, Floa
     if not np.isfinite(covariance).all():
         return np.inf, found.T_target_source
     arms = move_points(found.T_target_source, points) - found.centre_mm
-    jacobians = np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -skew(arms)], axis=2)
+    jacobians = motion_columns(arms)
     squares, directions = np.linalg.eigh(jacobians @ covariance @ jacobians.transpose(0, 2, 1))
     worst = int(np.argmax(squares[:, -1]))
     sigma = float(np.sqrt(max(squares[worst, -1], 0.0)))
@@ -35,9 +35,16 @@ def rms_extent(points: Floats) -> float:
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
+def spread_out(points: Floats) -> Floats:
+    """Some of a scan's points (N, 3), enough to find the one that a motion moves most."""
+    return points[:: max(1, len(points) // 500)]
+
+
 def is_hardly_known(found: FineRegistration, points: Floats) -> bool:
-    """Whether a source's points (N, 3) may lie off by more than ``HARDLY_KNOWN`` of their extent, by one sigma."""
-    return weakest_motion(found, points)[0] > HARDLY_KNOWN * rms_extent(points)
+    """Whether any of a source's points (N, 3) may lie off by more than ``HARDLY_KNOWN`` of their extent, by one
+    sigma."""
+    some = spread_out(points)
+    return weakest_motion(found, some)[0] > HARDLY_KNOWN * rms_extent(some)
 
 
 def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: float) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.extras import extra
-from grindvision.geometry import check_points, check_rigid, fit_rigid, move_points, skew
+from grindvision.geometry import check_points, check_rigid, fit_rigid, motion_columns, move_points, skew
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 
@@ -102,7 +102,7 @@ def icp_points(
         converged = len(errors) > 1 and errors[-2] - errors[-1] < tolerance_mm2
     moved = move_points(transform, source[used])
     centre = moved.mean(axis=0)
-    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(moved), 3, 3)), -skew(moved - centre)], axis=2)
+    jacobian = motion_columns(moved - centre)
     information = np.einsum("nij,nik->jk", jacobian, jacobian)
     covariance = pose_covariance(information, 3 * int(used.sum()), np.sqrt(errors[-1] / 3))
     return FineRegistration(

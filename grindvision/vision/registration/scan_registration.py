@@ -16,7 +16,13 @@ from grindvision.geometry.hash_grid import random_order
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
-from grindvision.vision.registration.free_motions import HARDLY_KNOWN, motion_name, rms_extent, weakest_motion
+from grindvision.vision.registration.free_motions import (
+    HARDLY_KNOWN,
+    motion_name,
+    rms_extent,
+    spread_out,
+    weakest_motion,
+)
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
@@ -213,7 +219,7 @@ def warn_of_findings(source: Scan, coarse: VerifiedPose, fine: FineRegistration,
         GrindvisionWarning: a rival that fits nearly as well; a mirror image that does; a standard deviation that is
             large.
     """
-    points = source.surfels.points[:: max(1, len(source.surfels) // 500)]
+    points = spread_out(source.surfels.points)
     extent = rms_extent(points)
     sigma, deviated = weakest_motion(fine, points)
     motion = motion_name(deviated, fine.T_target_source, points.mean(axis=0), extent) if np.isfinite(sigma) else ""
