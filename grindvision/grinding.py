@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,20 +16,20 @@ from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.change.change_detection import Difference, find_change
-from grindvision.vision.change.detection import read_by
-from grindvision.vision.change.diagnostics import NAMES, diagnose
+from grindvision.vision.change.change_detection import Difference
+from grindvision.vision.change.comparison import Comparison, compare
 from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
-from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
-from grindvision.vision.registration.model_registration import diagnose_model
-from grindvision.vision.registration.scan_registration import Registration, StageClock
+from grindvision.vision.registration.scan_registration import StageClock
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STAGES = (*scan_registration.STAGES, "difference", "stock", "passes")
+
+MAX_HIDDEN = 0.5
+"""A piece whose area is hidden by more than this fraction is interpolated rather than measured."""
 
 
 @by_content
@@ -59,23 +59,11 @@ class GrindOptions:
 
 @by_content
 @dataclass(frozen=True)
-class Compared:
-    """Two scans, registered, and what differs; ``findings`` in words speak against it; how the part is ``deformed``,
-    where no rigid pose fits."""
-
-    registration: Registration
-    difference: Difference
-    findings: tuple[str, ...]
-    deformed: DeformedPart | None = None
-
-
-@by_content
-@dataclass(frozen=True)
 class Grinding:
     """Result of ``grind``, in the frame of the test scan: the ``compared`` scans, the ``stock``, and a plan for each of
     its pieces, None where there is none (``refusals`` say why, by the number of the piece)."""
 
-    compared: Compared
+    compared: Comparison
     stock: Stock
     plans: tuple[GrindingPlan | None, ...]
     refusals: dict[int, str]
@@ -139,6 +127,7 @@ def grind(
     refusals = {}
     for number, piece in enumerate(stock.pieces, start=1):
         try:
+            check_visible(piece)
             plans.append(plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes))
         except InputError as error:
             refusals[number] = str(error)
@@ -152,27 +141,29 @@ def grind(
             f"material is missing in {len(stock.pits)} place(s), the largest {stock.pits[0]},"
             f" {stock.pit_depths_mm[0]:.2f} mm deep; it is reported and not ground"
         )
-    for sentence in (*compared.findings, *said):
+    for sentence in (*against_grinding(compared), *said):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
 
 
-def compare(sample: ArrayLike | Model, test: ArrayLike, options: GrindOptions, clock: StageClock) -> Compared:
-    """Register a pair and find what differs; see ``detect`` for what is refused."""
-    viewpoints_mm = options.viewpoint_test_mm, options.viewpoint_sample_mm
-    registered = register_deformed(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
-    found, deformed, surface = registered.registration, registered.deformed, registered.surface
-    reading = read_by(found, options.datum_mm, options.seed, deformed)
-    found = replace(found, fine=reading.registration)
-    of_field = None if deformed is None else deformed.field.variances
-    difference = find_change(found.source, found.target, found.fine, settled=reading.settled, place_variance=of_field)
-    against = reading.diagnose(nothing_found=not difference.clusters)
-    if not reading.off:
-        against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
-    against += () if surface is None else diagnose_model(surface.facets)
-    against += () if deformed is None else deformed.diagnose()
-    clock.lap("difference")
-    return Compared(found, difference, tuple(one for one in against if "material is missing" not in one), deformed)
+def against_grinding(compared: Comparison) -> tuple[str, ...]:
+    """What speaks against the comparison, in words, less what is said of the stock's pits."""
+    return tuple(one for one in compared.diagnose() if "material is missing" not in one)
+
+
+def check_visible(piece: StockPiece) -> None:
+    """Refuse a piece of which the test scan hides so much that its height is a guess.
+
+    Raises:
+        InputError: more than ``MAX_HIDDEN`` of its area is interpolated.
+    """
+    node_mm2 = piece.map.spacing_mm**2
+    hidden_mm2, area_mm2 = piece.hidden.sum() * node_mm2, piece.inside.sum() * node_mm2
+    if hidden_mm2 > MAX_HIDDEN * area_mm2:
+        raise InputError(
+            f"{hidden_mm2:.3g} of its {area_mm2:.3g} mm2 are not shown by the test scan, so that its height is not"
+            " known; scan the part from where the piece can be seen"
+        )
 
 
 def workpiece(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, rotate_vectors
-from grindvision.grinding import Compared, GrindOptions, compare, workpiece
+from grindvision.grinding import GrindOptions, against_grinding, workpiece
 from grindvision.grinding_files import GrindingJob
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, plan_grinding
@@ -24,6 +24,7 @@ from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.motion.removal import LearntRemoval, learn_removal
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
+from grindvision.vision.change.comparison import Comparison, compare
 from grindvision.vision.change.remaining import Remaining, judge_remaining
 from grindvision.vision.change.stock import StockPiece, measure_again
 from grindvision.vision.registration.scan_registration import StageClock
@@ -54,7 +55,7 @@ class GroundAgain:
     (``pieces``), the verdicts against ``tolerance_mm``, what was ``learnt`` (None where nothing could be), and the
     ``plans`` for the rest (None where there is none); ``passes`` are the settings they were made with."""
 
-    compared: Compared
+    compared: Comparison
     pieces: tuple[StockPiece, ...]
     judged: tuple[Remaining, ...]
     learnt: tuple[LearntRemoval | None, ...]
@@ -101,7 +102,7 @@ def grind_again(
     options = GrindAgainOptions() if options is None else options
     clock = StageClock(finished)
     compared = compare(sample, new, options.compare, clock)
-    for sentence in compared.findings:
+    for sentence in against_grinding(compared):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     found = compared.registration
     T_new_test = inverse(found.T_target_source) @ job.T_sample_test

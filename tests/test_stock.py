@@ -1,6 +1,8 @@
 """The stock: volume, area and height over the good surface, with uncertainties that hold."""
 
 import warnings
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.spatial import cKDTree
 from grindvision.errors import InputError
 from grindvision.geometry import inverse, move_points, rigid, rotation_about
 from grindvision.geometry.height_map import HeightMap
+from grindvision.grinding import check_visible
 from grindvision.vision.change.detection import detect
 from grindvision.vision.change.height_maps import flat_parts
 from grindvision.vision.change.local_datum import NoiseField, fit_datum, plane_terms
@@ -117,6 +120,20 @@ def test_what_the_test_scan_does_not_show_is_bridged_named_and_doubted():
     assert piece.hidden_mm2 > 3 and "hidden" in str(piece)
     assert piece.volume_sigma_mm3 > 1.3 * whole.pieces[0].volume_sigma_mm3
     assert abs(piece.volume_mm3 - whole.pieces[0].volume_mm3) < 3 * piece.volume_sigma_mm3
+
+
+def test_a_piece_that_the_scan_hardly_shows_is_not_ground():
+    scene, _, whole = one_bead()
+    check_visible(whole.pieces[0])
+    _, holed = stock_of(scene, test=with_a_hole(scene, 1.8))
+    (piece,) = holed.pieces
+    check_visible(piece)
+    for hidden, refused in ((0.4, False), (0.6, True)):
+        rows, columns = np.nonzero(piece.inside)
+        mask = np.zeros_like(piece.inside)
+        mask[rows[: int(hidden * len(rows))], columns[: int(hidden * len(rows))]] = True
+        with pytest.raises(InputError, match="not shown by the test scan") if refused else nullcontext():
+            check_visible(replace(piece, hidden=mask))
 
 
 def test_a_wide_hole_is_named_whether_bridged_or_beside():

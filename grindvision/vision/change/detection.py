@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,17 +13,16 @@ from grindvision.errors import DegenerateError, GrindvisionWarning, InputError, 
 from grindvision.models import Model
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.change.change_detection import Difference, find_change
+from grindvision.vision.change.change_detection import Difference
+from grindvision.vision.change.comparison import compare
 from grindvision.vision.change.coverage import Coverage, find_coverage, same_scan
-from grindvision.vision.change.diagnostics import MIN_OVERLAP, NAMES, diagnose
+from grindvision.vision.change.diagnostics import MIN_OVERLAP
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
-from grindvision.vision.registration.datum import refine_on_datum
-from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
-from grindvision.vision.registration.face_offsets import FaceOffset, FaceReading, read_faces
+from grindvision.vision.registration.deformed_registration import DeformedPart
+from grindvision.vision.registration.face_offsets import FaceOffset
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.model_registration import diagnose_model
 from grindvision.vision.registration.scan_registration import Registration, StageClock
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface
@@ -153,51 +152,21 @@ def detect(
     if options.points < 1:
         raise InputError(f"{options.points} path points asked for; at least 1 is needed")
     clock = StageClock(finished)
-    viewpoints_mm = options.viewpoint_test_mm, options.viewpoint_sample_mm
-    registered = register_deformed(test, sample, viewpoints_mm, np.random.default_rng(options.seed), clock, NAMES)
-    found, deformed, surface = registered.registration, registered.deformed, registered.surface
-    reading = read_by(found, options.datum_mm, options.seed, deformed)
-    found = replace(found, fine=reading.registration)
-    of_field = None if deformed is None else deformed.field.variances
-    difference = find_change(found.source, found.target, found.fine, settled=reading.settled, place_variance=of_field)
-    clock.lap("difference")
+    compared = compare(sample, test, options, clock)
+    found, difference, deformed = compared.registration, compared.difference, compared.deformed
     coverage = find_coverage(found.source, found.target, found.fine, difference)
-    against = reading.diagnose(nothing_found=not difference.clusters)
-    if not reading.off:  # a face that is off looks like another scale, and like missing material elsewhere
-        against += diagnose(found.source, found.target, found.fine, difference, options.seed, bool(reading.sole))
-    against += _unseen(found, difference, coverage)
-    against += () if surface is None else diagnose_model(surface.facets)
-    against += () if deformed is None else deformed.diagnose()
+    against = compared.diagnose() + _unseen(found, difference, coverage)
     try:
-        beads = _follow(difference, options.points, reading.settled is not None, deformed)
+        beads = _follow(difference, options.points, compared.faces.settled is not None, deformed)
     except DegenerateError as error:
         raise DegenerateError("; and ".join((str(error), *against))) from None
     clock.lap("path")
     for sentence in against:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Detection(
-        found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s, surface,
-        reading.off, deformed,
+        found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s,
+        compared.model, compared.faces.off, deformed,
     )  # fmt: skip
-
-
-def read_by(
-    found: Registration, datum_mm: ArrayLike | None, seed: int, deformed: DeformedPart | None = None
-) -> FaceReading:
-    """The pose by the datum, where one is given, else by all faces but one that the others contradict; that of a
-    ``deformed`` part goes with its field.
-
-    Raises:
-        InputError: a datum for a deformed part.
-    """
-    if deformed is not None:
-        if datum_mm is not None:
-            raise InputError(f"a datum fixes no pose of a part that is {deformed}; leave --datum out")
-        return FaceReading(found.fine, (), True, None, ())
-    if datum_mm is None:
-        return read_faces(found.source, found.target, found.fine, seed)
-    fine, settled = refine_on_datum(found.source, found.target, found.fine, datum_mm)
-    return FaceReading(fine, (), True, settled, ())
 
 
 def check_narrow(cluster: Cluster, deformed: DeformedPart) -> None:
