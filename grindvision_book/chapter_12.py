@@ -112,11 +112,29 @@ def judge_detection(report: Mapping[str, Any], noise_mm: float) -> pd.DataFrame:
     level = report["level_of_detection_mm"]
     rows = [
         ("confidence", report["confidence"], ">=", 0.5, "another pose fits nearly as well: compare the scans by eye"),
-        ("overlap (fitness)", report["fitness"], ">=", 0.5, "the rest of the test scan was compared with nothing"),
-        ("rmse, mm; 3 noise", report["rmse"], "<=", 3 * noise_mm, "the surfaces differ by more than noise"),
+        (
+            "overlap (fitness)",
+            report["fitness"],
+            ">=",
+            0.5,
+            "the rest of the test scan has nothing to be compared with",
+        ),
+        (
+            "rmse (mm): three times the noise",
+            report["rmse"],
+            "<=",
+            3 * noise_mm,
+            "the surfaces differ by more than noise",
+        ),
     ]
     rows += [
-        (f"height of bead {number}, mm; 2 levels", bead["height_mm"], ">=", 2 * level, "may be noise or bending")
+        (
+            f"height of bead {number} (mm): twice the level of detection",
+            bead["height_mm"],
+            ">=",
+            2 * level,
+            "may be noise or bending",
+        )
         for number, bead in enumerate(report["beads"], start=1)
     ]
     return _judged(rows)
@@ -127,9 +145,15 @@ def judge_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: float) 
     groove = report["grooves"][0]
     width = groove["width_mm"]
     rows = [
-        ("width, mm; 8 spacings", width, ">=", 8 * spacing_mm, "few points across: the root is a guess"),
-        ("depth, mm; 6 noise", groove["depth_mm"], ">=", 6 * noise_mm, "walls drown in noise: scan from nearer"),
-        ("length, mm; 3 widths", groove["length_mm"], ">=", 3 * width, "short: may be a dent"),
+        ("width (mm): 8 spacings", width, ">=", 8 * spacing_mm, "few points across: the root is a guess"),
+        (
+            "depth (mm): 6 times the noise",
+            groove["depth_mm"],
+            ">=",
+            6 * noise_mm,
+            "the noise hides the walls: scan from nearer",
+        ),
+        ("length (mm): 3 widths", groove["length_mm"], ">=", 3 * width, "short: may be a dent"),
         (
             "share with both edges seen",
             groove["edges_seen"],
@@ -137,7 +161,7 @@ def judge_groove(report: Mapping[str, Any], spacing_mm: float, noise_mm: float) 
             MIN_BOTH_SIDES,
             "partly outside the cloud: scan it whole",
         ),
-        ("deviation of the root, mm", groove["root_deviation_mm"], "<=", 1.0, "the root is uncertain"),
+        ("deviation of the root (mm)", groove["root_deviation_mm"], "<=", 1.0, "the root is uncertain"),
     ]
     return _judged(rows)
 
@@ -147,16 +171,28 @@ def judge_calibration(report: Mapping[str, Any]) -> pd.DataFrame:
     test, train = (report["errors_mm"][part]["after"] for part in ("test", "train"))
     before = report["errors_mm"]["test"]["before"]["mean"]
     rows = [
-        ("mean error of unseen rows, mm; half of before", test["mean"], "<=", before / 2, "calibration hardly helped"),
         (
-            "the same; 2.5 x fitted rows",
+            "mean error of unseen rows (mm): half of that before",
+            test["mean"],
+            "<=",
+            before / 2,
+            "calibration hardly helped",
+        ),
+        (
+            "the same: 2.5 times that of fitted rows",
             test["mean"],
             "<=",
             2.5 * train["mean"],
-            "the fit flatters: measure more poses",
+            "the fit follows the noise: measure more poses",
         ),
-        ("largest of unseen rows, mm; 5 means", test["max"], "<=", 5 * test["mean"], "a bad row: find and repeat it"),
-        ("rank; 60 % of the unknowns", report["rank"], ">=", 0.6 * report["unknowns"], "move all joints, and farther"),
+        (
+            "largest error of unseen rows (mm): 5 times the mean",
+            test["max"],
+            "<=",
+            5 * test["mean"],
+            "a bad row: find and repeat it",
+        ),
+        ("rank: 60 % of the unknowns", report["rank"], ">=", 0.6 * report["unknowns"], "move all joints, and farther"),
     ]
     return _judged(rows)
 

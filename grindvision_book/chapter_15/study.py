@@ -66,15 +66,17 @@ class Looked:
         return np.linalg.norm(off - (off * along).sum(axis=1)[:, None] * along, axis=1)
 
 
-def look(kind: str, seed: int, camera: Scanner | str = "D415", every: int = 1, length_mm: float = 180.0) -> Looked:
-    """Scan a piece of a kind and a length, and look for its seam; the seed draws the view and the noise."""
+def look(
+    kind: str, seed: int, camera: Scanner | str = "D415", every: int = 1, size: cell.JointSize | None = None
+) -> Looked:
+    """Scan a piece of a kind and a size, and look for its seam; the seed draws the view and the noise."""
     rng = np.random.default_rng(seed)
     if isinstance(camera, str):
         instrument, distance = CAMERAS[camera]
         chosen: Scanner = instrument(serial=seed + 1)
     else:
         chosen, distance = camera, 450.0
-    scene = cell.joint_scene(kind, rng, cell.JointSize(length_mm=length_mm), chosen, distance, every)
+    scene = cell.joint_scene(kind, rng, size, chosen, distance, every)
     try:
         return Looked(kind, scene, find_seams(scene.points).seams[0])
     except NoGrooveError as error:
