@@ -36,7 +36,7 @@ results in DIR:
   passes.csv        piece,pass,line,kind,x_mm,y_mm,z_mm,nx,ny,nz,tx,ty,tz,feed_mm_s,force_n: the way of the wheel's
                     lowest point through all passes; scanner frame of TEST, n outward normal, t along the line
   passes_base.csv   the same in the robot's base frame, with --scanner-pose
-  program.*         the robot's programme, with --robot
+  grind1.*, ...     with --robot: a programme for each piece
   plan.npz          what --again goes on with
   report.pdf        one page a piece: map, section, numbers, verdict, serials, hashes, versions
   report.png        the largest piece; report.json  stock and passes in numbers; written last

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
     data = parser.add_argument_group("cell, shots and limit")
     data.add_argument("cell", metavar="CELL", help="folder of an earlier calibration")
-    data.add_argument("measurements", metavar="MEASUREMENTS.csv", help="new shots, see `grindvision calibrate --help`")
+    data.add_argument("measurements", metavar="MEASUREMENTS.csv", help="new measurements (shots), one a row, see below")
     data.add_argument("--limit-mm", type=number, metavar="MM", help="needed: what 95 %% of the shots must stay below")
     data.add_argument("--columns", nargs="+", metavar="NAME=COLUMN", help="as in `grindvision calibrate`")
     data.add_argument(

@@ -1,4 +1,4 @@
-"""The page of the ten short scripts of ``examples/``, each whole and with its title."""
+"""The page of the short scripts of ``examples/``, each whole and with its title."""
 
 from __future__ import annotations
 
