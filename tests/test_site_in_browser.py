@@ -7,9 +7,12 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
+from grindvision_book.machinery.places import FIGURES
+from grindvision_book.machinery.shown_tables import heading, table_html
 from grindvision_book.site.pdf import installed_chromium
 from grindvision_book.site.pipelines import PLAYBACKS
 from grindvision_book.site.scenes import SCENES
@@ -105,6 +108,26 @@ def test_every_page_loads_light_and_without_error_draws_its_formulas_and_fits_a_
         if tab.evaluate("document.documentElement.scrollWidth") > min(WIDTHS):
             wrong[name] = "wider than a telephone"
     assert not wrong and not tab.troubles
+
+
+#: How JupyterLab sets tables (its ``rendermime`` styles), and the place of a cell's output.
+LAB = """<style>body {margin: 0} .jp-OutputArea-output {width: %dpx; overflow: auto; font: 13px sans-serif}
+table {border-collapse: collapse; table-layout: fixed; font-size: 13px} td, th {padding: 0.5em; white-space: normal}
+</style><div class="jp-OutputArea-output jp-RenderedHTMLCommon">%s</div>"""
+
+
+@pytest.mark.parametrize("width", [840, 290])
+@pytest.mark.parametrize("name", ["joints_found", "peng_waypoints", "own_detection_doubts", "registration_accuracy"])
+def test_a_table_in_jupyterlab_is_as_wide_as_its_cell_at_most(browser, name, width):
+    table = pd.read_csv(FIGURES / f"{name}.csv")
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    tab = context.new_page()
+    tab.set_content(LAB % (width, table_html(table)))
+    assert tab.evaluate("() => document.querySelector('.jp-OutputArea-output').scrollWidth") <= width
+    shown = tab.locator("td").first.evaluate("cell => getComputedStyle(cell, '::before').content")
+    stacked = tab.locator("thead").is_hidden()
+    assert shown == (f'"{heading(table.columns[0])}"' if stacked else "none")
+    context.close()
 
 
 @pytest.mark.parametrize("words", ["FPFH", "hand-eye"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import zlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ _PRINTED = ("paper", "printed")
 _DIGITS = 4
 #: Decimals of printed values, and of others that are shown as they stand.
 _MAX_DECIMALS, _FEW_DECIMALS = 4, 2
+#: Widths of a character and of a cell's padding in JupyterLab: tables in 13 px, half an em to each side of a cell.
+_CHARACTER_PX, _PADDING_PX = 7.5, 14
 
 
 def heading(column: object) -> str:
@@ -104,4 +107,31 @@ def table_html(table: pd.DataFrame) -> str:
         "<tr>" + "".join(f"<td{right}>{text}</td>" for text, right in zip(row, aligned, strict=True)) + "</tr>"
         for row in zip(*texts, strict=True)
     ]
-    return f"<table class='dataframe'><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    style, name = _stacked_in_lab([html.unescape(name) for name in names], texts)
+    body = f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
+    return f"{style}<div class='columns'><table class='dataframe {name}'>{body}</table></div>"
+
+
+def _stacked_in_lab(names: list[str], texts: list[list[str]]) -> tuple[str, str]:
+    """Style by which JupyterLab lays a table's cells under each other where its columns have no room, as the script of
+    the page does there; and the class of the table that it is for."""
+    columns = [
+        [word for text in (name, *column) for word in text.split()] for name, column in zip(names, texts, strict=True)
+    ]
+    longest = [max((len(html.unescape(word)) for word in words), default=0) for words in columns]
+    needed = round(sum(_CHARACTER_PX * length + _PADDING_PX for length in longest))
+    table = f"w{needed}-{zlib.crc32(repr(names).encode()):08x}"
+    place = f".jp-OutputArea-output .{table}"
+    rules = [
+        f"{place},{place} :is(tbody,tr){{display:block;width:100%}}{place} thead{{display:none}}",
+        f"{place} td{{display:grid;grid-template-columns:2fr 3fr;gap:.6em;text-align:left;overflow-wrap:anywhere}}",
+    ]
+    for number, name in enumerate(names, start=1):
+        rules.append(f"{place} td:nth-child({number})::before{{content:{_css_text(name)}}}")
+    box = ".jp-OutputArea-output .columns{container-type:inline-size}"
+    return f"<style>{box}@container (max-width:{needed}px){{{''.join(rules)}}}</style>", table
+
+
+def _css_text(text: str) -> str:
+    """A text as a string of CSS inside HTML: all but letters and digits by their number."""
+    return '"' + "".join(one if one.isascii() and one.isalnum() else f"\\{ord(one):x} " for one in text) + '"'
