@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.calibration.hand_eye_fit import LEVER_MM, FitOptions, fit, left_out_mm
+from grindvision.calibration.hand_eye_fit import LEVER_MM, FitOptions, averaged, fit, left_out_mm
 from grindvision.calibration.hand_eye_noise import PoseErrors
 from grindvision.calibration.hand_eye_starts import rotation_rms, starts_from_points, starts_from_poses
 from grindvision.errors import DegenerateError, InputError
@@ -59,7 +59,8 @@ class HandEye:
     how far off a pose puts the target when it took no part in the fit. ``weights`` (N,) in 0..1: near zero, the pose
     does not fit the others. ``starts_differ``: degrees and mm between two closed-form solutions (NaN: only one).
     ``rotation_rms_deg`` (3,): how far the poses turn about their mean along three axes, largest first.
-    ``errors``: of arm and camera, from ``ROBUST_FROM`` poses of a target on; None for points.
+    ``errors``: of arm and camera, from ``ROBUST_FROM`` poses of a target on; None for points. ``shared_errors``: the
+    probability that poses near each other share errors of the arm; NaN for points.
     """
 
     T_parent_camera: Floats
@@ -73,6 +74,7 @@ class HandEye:
     starts_differ: tuple[float, float]
     rotation_rms_deg: Floats
     errors: PoseErrors | None = None
+    shared_errors: float = np.nan
 
     spread_deg = renamed_property("spread_deg", "rotation_rms_deg")
 
@@ -125,7 +127,8 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     """Where a camera sits on an arm or beside it, from the controller's poses and a target that rests.
 
     Closed forms give the starts; one least squares on the group gives the answer, with poses that do not fit the others
-    weighted down from ``ROBUST_FROM`` poses on.
+    weighted down from ``ROBUST_FROM`` poses on. Poses of a target are weighted by what the errors of arm and camera may
+    be, and the answer is the mean over that.
 
     Args:
         T_base_flange: poses (N, 4, 4) of the controller, mm.
@@ -162,9 +165,10 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     on_arm = mounted == "on-arm"
     found = fit(carrier, target, start.X, FitOptions(on_arm, many, many))
     left_out = np.array([left_out_mm(carrier, target, found, row, on_arm) for row in range(len(carrier))])
+    found = found if points else averaged(carrier, target, found, on_arm)
     return HandEye(
         found.X, found.Y, mounted, found.covariance, found.place, found.rotation, left_out, found.weights, differ,
-        np.degrees(spread), None if found.sizes is None else PoseErrors(*np.sqrt(found.sizes)),
+        np.degrees(spread), None if found.sizes is None else PoseErrors(*np.sqrt(found.sizes)), found.shared,
     )  # fmt: skip
 
 

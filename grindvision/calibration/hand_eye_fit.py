@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from grindvision.calibration.hand_eye_average import average, linear
 from grindvision.calibration.hand_eye_noise import components, estimate
 from grindvision.geometry import mean_rigid, move_points, nearest_rotation, rigid, rotation_about, skew
 from grindvision.records import by_content
@@ -16,6 +17,9 @@ Floats = NDArray[np.float64]
 
 #: Distance (mm) at which an error of rotation counts as one of place, until their sizes are known.
 LEVER_MM = 100.0
+
+#: Steps to the mean over the kinds of errors: it is linear but for rotations of a degree or two.
+AVERAGED = 2
 
 #: Steps in which the sizes of the errors are estimated.
 ESTIMATED = range(3, 10)
@@ -26,7 +30,8 @@ ESTIMATED = range(3, 10)
 class HandEyeFit:
     """``X`` and ``Y`` (4, 4) with what they leave: ``place`` (N, 3) mm, ``rotation`` (N, 3) rad (NaN for points).
 
-    ``sizes`` (4,): variances of ``hand_eye_noise.components``; None where they were not estimated.
+    ``sizes`` (4,): variances of ``hand_eye_noise.components``; None where they were not estimated. ``shared``: see
+    ``hand_eye_average.Averaged``; NaN where it was not found.
     """
 
     X: Floats
@@ -37,6 +42,7 @@ class HandEyeFit:
     covariance: Floats
     cost: float
     sizes: Floats | None = None
+    shared: float = np.nan
 
 
 @by_content
@@ -81,6 +87,23 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
     free = max(weights.sum() * rows.shape[1] - columns.stop, 1.0)
     covariance = np.linalg.pinv(A.T @ A, hermitian=True)[:6, :6] * left / free
     return HandEyeFit(X, Y, place, turn, weights, covariance, left, sizes)
+
+
+def averaged(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -> HandEyeFit:
+    """A fit to poses of a target, taken on to the mean over what its errors may be, see ``hand_eye_average``.
+
+    The target's place is then the mean of where the poses put it: errors that all poses share cannot be told from it.
+    """
+    X, Y = found.X, found.Y
+    for _ in range(AVERAGED):
+        rows, J = _linearised(carrier, target, X, Y)
+        mixed = average(linear(carrier, target, X, on_arm, rows, J, found.weights))
+        X, Y = _moved(X, mixed.change[:6]), _moved(Y, mixed.change[6:])
+    seen, weights = carrier @ X @ target, found.weights / found.weights.sum()
+    Y = rigid(nearest_rotation(np.tensordot(weights, seen[:, :3, :3], 1)), weights @ seen[:, :3, 3])
+    place, turn = residuals(carrier, target, X, Y)
+    covariance = mixed.covariance[:6, :6]
+    return replace(found, X=X, Y=Y, place=place, rotation=turn, covariance=covariance, shared=mixed.shared)
 
 
 def residuals(carrier: Floats, target: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats]:

@@ -46,18 +46,23 @@ class PoseErrors:
 def components(carrier: Floats, target: Floats, X: Floats, on_arm: bool) -> Floats:
     """Covariances (4, N, 6, 6) of place and rotation that each error of unit size makes, in the frame in which the
     target rests: the base with the camera ``on_arm``, else the flange."""
-    rotation = carrier[:, :3, :3]
-    axis = (rotation @ X[:3, :3])[:, :, 2]
-    seen = (carrier @ X @ target)[:, :3, 3]
-    lever = seen - carrier[:, :3, 3] if on_arm else seen
+    axis = (carrier[:, :3, :3] @ X[:3, :3])[:, :, 2]
+    arm = arm_columns(carrier, target, X, on_arm)
     made = np.zeros((4, len(carrier), 6, 6))
     made[0, :, :3, :3] = np.eye(3)
     made[1, :, :3, :3] = axis[:, :, None] * axis[:, None, :]
-    arm = np.zeros((len(carrier), 6, 3))
-    arm[:, :3], arm[:, 3:] = -skew(lever), np.eye(3)
     made[2] = arm @ arm.swapaxes(1, 2)
     made[3, :, 3:, 3:] = np.eye(3)
     return made
+
+
+def arm_columns(carrier: Floats, target: Floats, X: Floats, on_arm: bool) -> Floats:
+    """What a small rotation of the arm at its flange does to place and rotation (N, 6, 3), see ``components``."""
+    seen = (carrier @ X @ target)[:, :3, 3]
+    lever = seen - carrier[:, :3, 3] if on_arm else seen
+    arm = np.zeros((len(carrier), 6, 3))
+    arm[:, :3], arm[:, 3:] = -skew(lever), np.eye(3)
+    return arm
 
 
 def estimate(rows: Floats, J: Floats, made: Floats, weights: Floats, sizes: Floats | None) -> Floats:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from grindvision.calibration.hand_eye import HandEye
     from grindvision.calibration.pose_conventions import PoseConvention
 
+#: From this probability on it is said that poses near each other share errors of the arm.
+LIKELY = 0.9
+
 EPILOG = """\
 POSES holds a line for every cloud, in their order: the flange's (or one tool's) pose in the base frame as the
 controller shows it, x y z and the rotation. Say how the rotation is written: by the maker (ur, ur-rpy, abb, kuka,
@@ -124,11 +127,22 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("write"):
             _write(found, stated, names, doubt, work.place)
             draw(found, names, work.warnings, work.place / "report.png")
-        told = "\n".join(text for text in (seen.told, "" if found.errors is None else str(found.errors)) if text)
+        told = "\n".join(filter(None, [seen.told, *_told_errors(found)]))
         work.report(
             str(found), _results(found, seen), {"convention": str(stated)}, shown=told, questions=[_where(found)]
         )
     return 0
+
+
+def _told_errors(found: HandEye) -> list[str]:
+    """In words, the errors of arm and camera, and whether poses near each other share them."""
+    if found.errors is None:
+        return []
+    shared = (
+        f"poses near each other share errors of the arm (probability {found.shared_errors:.2f}), as wrong lengths and"
+        " zeros make them: more poses alike do not average them out"
+    )
+    return [str(found.errors), *([shared] if found.shared_errors > LIKELY else [])]
 
 
 def _given(kind: str, options: argparse.Namespace, count: int) -> TargetSeen | None:
@@ -209,6 +223,8 @@ def _write(found: HandEye, stated: PoseConvention, names: Sequence[str], doubt: 
 def _results(found: HandEye, seen: TargetSeen) -> dict[str, Any]:
     from dataclasses import asdict
 
+    import numpy as np
+
     from grindvision.calibration.hand_eye_advice import knowledge
 
     return {
@@ -220,6 +236,7 @@ def _results(found: HandEye, seen: TargetSeen) -> dict[str, Any]:
         "sigma_deg": found.sigma_deg,
         "known_to": asdict(knowledge(found, seen.target)),
         "errors": None if found.errors is None else asdict(found.errors),
+        "shared_errors": found.shared_errors if np.isfinite(found.shared_errors) else None,
     }
 
 
