@@ -46,13 +46,10 @@ def by_rotation_vectors(A: Floats, B: Floats) -> Floats:
 
 def by_dual_quaternions(A: Floats, B: Floats) -> Floats | None:
     """X of A X = X B (K, 4, 4 each) by dual quaternions (Daniilidis 1999); None where its equation has no root."""
-    rows = []
-    for a, b in zip(A, B, strict=True):
-        (q_a, d_a), (q_b, d_b) = _dual_quaternion(a), _dual_quaternion(b)
-        top = np.hstack([(q_a - q_b)[1:, None], skew((q_a + q_b)[1:])])
-        bottom = np.hstack([(d_a - d_b)[1:, None], skew((d_a + d_b)[1:])])
-        rows += [np.hstack([top, np.zeros((3, 4))]), np.hstack([bottom, top])]
-    *_, right = np.linalg.svd(np.vstack(rows))
+    (q_a, d_a), (q_b, d_b) = _dual_quaternions(A), _dual_quaternions(B)
+    turned, moved = _equations(q_a, q_b), _equations(d_a, d_b)
+    rows = np.concatenate([np.dstack([turned, np.zeros_like(turned)]), np.dstack([moved, turned])])
+    *_, right = np.linalg.svd(rows.reshape(-1, 8))
     u1, v1, u2, v2 = right[-2, :4], right[-2, 4:], right[-1, :4], right[-1, 4:]
     roots = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]) if abs(u1 @ v1) > 1e-15 else np.array([0.0])
     ratios = np.real(roots)
@@ -118,12 +115,17 @@ def _with_translation(A: Floats, B: Floats, rotation: Floats) -> Floats:
     return rigid(rotation, np.linalg.lstsq(design, right.ravel(), rcond=1e-10)[0])
 
 
-def _dual_quaternion(motion: Floats) -> tuple[Floats, Floats]:
-    """Real and dual part (4,), scalar first, with the scalar not negative."""
-    quaternion = Rotation.from_matrix(motion[:3, :3]).as_quat()[[3, 0, 1, 2]]
-    quaternion = quaternion if quaternion[0] >= 0 else -quaternion
-    t, w, v = motion[:3, 3], quaternion[0], quaternion[1:]
-    return quaternion, 0.5 * np.concatenate([[-t @ v], w * t + np.cross(t, v)])
+def _dual_quaternions(motions: Floats) -> tuple[Floats, Floats]:
+    """Real and dual parts (K, 4) of motions (K, 4, 4), scalar first, with the scalar not negative."""
+    real = Rotation.from_matrix(motions[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    real = np.where(real[:, :1] >= 0, real, -real)
+    t, w, v = motions[:, :3, 3], real[:, :1], real[:, 1:]
+    return real, 0.5 * np.hstack([-(t * v).sum(axis=1, keepdims=True), w * t + np.cross(t, v)])
+
+
+def _equations(a: Floats, b: Floats) -> Floats:
+    """What one part of two motions' quaternions (K, 4) asks of the same part of X, (K, 3, 4)."""
+    return np.dstack([(a - b)[:, 1:, None], skew((a + b)[:, 1:])])
 
 
 def _difference(a: Floats, b: Floats) -> tuple[float, float]:
