@@ -125,8 +125,10 @@ def grind(
     keep_out = None if options.keep_out is None else check_points(options.keep_out, "keep-out points")
     plans: list[GrindingPlan | None] = []
     refusals = {}
-    for number, piece in enumerate(stock.pieces, start=1):
+    for number, (piece, of) in enumerate(zip(stock.pieces, stock.numbers, strict=True), start=1):
         try:
+            if of in compared.doubted:
+                raise InputError(compared.doubted[of])
             check_visible(piece)
             plans.append(plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes))
         except InputError as error:

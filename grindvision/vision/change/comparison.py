@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from grindvision.errors import InputError
 from grindvision.models import Model
 from grindvision.records import by_content
+from grindvision.vision.change.bent_pieces import bending_doubts
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.registration.datum import refine_on_datum
@@ -48,7 +49,8 @@ class Comparison:
 
     ``faces``: which faces fixed the pose, and which are off as a whole. ``model``: the whole surface, where the sample
     was a model. ``deformed``: how the part is bent against the sample, where no rigid pose fits; the registration's
-    target is then bent like it.
+    target is then bent like it. ``doubted``: pieces of the difference, by their number from 0, that may be bending and
+    not stock, and why: none of them is ground.
     """
 
     registration: Registration
@@ -56,6 +58,7 @@ class Comparison:
     faces: FaceReading
     model: ModelSurface | None
     deformed: DeformedPart | None
+    doubted: dict[int, str]
     seed: int
 
     def diagnose(self) -> tuple[str, ...]:
@@ -85,10 +88,11 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: CompareOptions,
     deformed = registered.deformed
     faces = _faces(registered.registration, options.datum_mm, options.seed, deformed)
     found = replace(registered.registration, fine=faces.registration)
-    of_field = None if deformed is None else deformed.field.variances
+    of_field = None if deformed is None else deformed.place_variances
     difference = find_change(found.source, found.target, found.fine, settled=faces.settled, place_variance=of_field)
+    doubted = {} if deformed is None else bending_doubts(difference, found.source.surfels.normals, deformed)
     clock.lap("difference")
-    return Comparison(found, difference, faces, registered.surface, deformed, options.seed)
+    return Comparison(found, difference, faces, registered.surface, deformed, doubted, options.seed)
 
 
 def _faces(found: Registration, datum_mm: ArrayLike | None, seed: int, deformed: DeformedPart | None) -> FaceReading:

@@ -14,10 +14,9 @@ from grindvision.models import Model
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
-from grindvision.vision.change.comparison import compare
+from grindvision.vision.change.comparison import Comparison, compare
 from grindvision.vision.change.coverage import Coverage, find_coverage, same_scan
 from grindvision.vision.change.diagnostics import MIN_OVERLAP
-from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.deformed_registration import DeformedPart
@@ -157,7 +156,7 @@ def detect(
     coverage = find_coverage(found.source, found.target, found.fine, difference)
     against = compared.diagnose() + _unseen(found, difference, coverage)
     try:
-        beads = _follow(difference, options.points, compared.faces.settled is not None, deformed)
+        beads = _follow(compared, options.points)
     except DegenerateError as error:
         raise DegenerateError("; and ".join((str(error), *against))) from None
     clock.lap("path")
@@ -167,23 +166,6 @@ def detect(
         found.target, found.source, found.coarse, found.fine, difference, coverage, beads, clock.laps_s,
         compared.model, compared.faces.off, deformed,
     )  # fmt: skip
-
-
-def check_narrow(cluster: Cluster, deformed: DeformedPart) -> None:
-    """Refuse a path on a piece that may be bending which the field has no term for.
-
-    Raises:
-        NoPathError: it is as wide as half a wave of the field.
-    """
-    widest = deformed.field.scale_mm / (2 * deformed.field.order)
-    _, sizes, _ = np.linalg.svd(cluster.points - cluster.points.mean(axis=0), full_matrices=False)
-    width = float(np.sqrt(12) * sizes[1] / np.sqrt(len(cluster.points)))
-    if width > widest:
-        raise NoPathError(
-            f"{cluster.area_mm2:.3g} mm2 about ({', '.join(f'{v:.0f}' for v in cluster.points.mean(axis=0))}) mm,"
-            f" {width:.3g} mm wide on a deformed part: it may be bent there more finely than the field tells"
-            f" ({widest:.3g} mm), so it is stock only if you know it to be"
-        )
 
 
 def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> tuple[str, ...]:
@@ -240,18 +222,18 @@ def _noisier(found: Registration, coverage: Coverage) -> str:
     )
 
 
-def _follow(difference: Difference, points: int, one_face: bool, deformed: DeformedPart | None) -> tuple[BeadPath, ...]:
-    """Paths of all pieces; one without a path on it, or that branches and is not the largest, is left out with a
-    warning; ``one_face``: the largest is a face that is off as a whole. On a ``deformed`` part a wide piece may be
-    bending of a higher order, and gets none."""
+def _follow(compared: Comparison, points: int) -> tuple[BeadPath, ...]:
+    """Paths of all pieces; one without a path on it, that may be bending of a deformed part, or that branches and is
+    not the largest, is left out with a warning."""
     beads = []
-    for rank, cluster in enumerate(difference.clusters):
+    one_face, deformed = compared.faces.settled is not None, compared.deformed is not None  # the largest is no bead
+    for rank, cluster in enumerate(compared.difference.clusters):
         try:
-            if deformed is not None:
-                check_narrow(cluster, deformed)
+            if rank in compared.doubted:
+                raise NoPathError(compared.doubted[rank])
             beads.append(trace_bead(cluster, points))
         except DegenerateError as error:
-            if rank == 0 and not (one_face or deformed is not None or isinstance(error, NoPathError)):
+            if rank == 0 and not (one_face or deformed or isinstance(error, NoPathError)):
                 raise
             warnings.warn(f"piece {rank + 1} of the difference is left out: {error}", GrindvisionWarning, stacklevel=3)
     return tuple(beads)

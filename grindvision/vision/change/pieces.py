@@ -136,7 +136,7 @@ def _piece(source: Scan, surface: Surfels, members: Integers, standing: Standing
     """The scan's own points in the cells of a piece, with their signed distances; None where it is a wall."""
     flags = np.zeros(len(source.surfels), dtype=bool)
     flags[members] = True
-    points = source.points[_points_in_cells(source.points, flags, source.surfels.grid)]
+    points = source.points[_points_of(source, flags)]
     size = surface.grid.size_mm
     distances, up, _ = signed_distances(surface, points, 2 * size)
     owner = members[nearest(build_cells(source.surfels.points[members], size), points, 4 * size)[0]]
@@ -157,6 +157,15 @@ def _piece(source: Scan, surface: Surfels, members: Integers, standing: Standing
     peak = float(np.quantile(distances[out], 0.98))
     volume = area * float(np.mean(standing.signed[members]))
     return Cluster(points[out], distances[out], up[out], size, area, volume, peak)
+
+
+def _points_of(source: Scan, flags: Flags) -> Integers:
+    """Indices of the points of the surfels with a flag: those in their cells, and of a bent scan those nearest."""
+    grid = source.surfels.grid
+    if not source.bent:
+        return _points_in_cells(source.points, flags, grid)
+    at, _ = nearest(grid, source.points, 2 * grid.size_mm)
+    return np.flatnonzero((at >= 0) & flags[at])
 
 
 @njit(cache=True, nogil=True)

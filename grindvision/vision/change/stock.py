@@ -145,12 +145,14 @@ class StockPiece:
 @dataclass(frozen=True)
 class Stock:
     """All ``pieces`` that stand above the good surface, largest first; ``pits`` where material is missing, which is
-    never ground, with their ``pit_depths_mm``; ``level_mm`` the level of detection (median)."""
+    never ground, with their ``pit_depths_mm``; ``level_mm`` the level of detection (median). ``numbers``: the piece of
+    the difference, from 0, on which each was measured: a piece round an edge is several of stock."""
 
     pieces: tuple[StockPiece, ...]
     pits: tuple[Patch, ...]
     pit_depths_mm: tuple[float, ...]
     level_mm: float
+    numbers: tuple[int, ...]
 
     @property
     def volume_mm3(self) -> float:
@@ -194,7 +196,8 @@ def measure_stock(
     surface = surface_in_frame(target.surfels, back)
     scans = _Scans(source.points, move_points(back, target.points), surface)
     spacing = options.spacing_mm or SPACINGS * point_spacing(source)
-    outlines = [outline for cluster in difference.clusters for outline in _outlines(cluster)]
+    numbered = [(number, one) for number, cluster in enumerate(difference.clusters) for one in _outlines(cluster)]
+    outlines = [outline for _, outline in numbered]
     pieces = []
     for at, (feet, normals, highest_mm) in enumerate(outlines):
         T_scan_map, size_mm = map_frame(feet, normals, options.margin_mm)
@@ -209,6 +212,7 @@ def measure_stock(
         tuple(Patch(move_points(back, pit.points.mean(axis=0)), pit.area_mm2) for pit in pits),
         tuple(pit.peak_mm for pit in pits),
         difference.level_of_detection_mm,
+        tuple(number for number, _ in numbered),
     )
 
 

@@ -3,7 +3,7 @@
 A part that is bent or twisted may, beside its motion, move by a polynomial of place: x = T (p + v(p)). The prior holds
 what no residual tells, so the field does not let a surface slide along itself; robust weights leave beads out of it;
 and its order is the lowest that predicts blocks of the surface that were not fitted as well as the best one does. The
-pose is the rigid motion nearest to the whole, the field what is left of it.
+pose is the best rigid fit of the surfaces, where plain ICP rests, and the field what is left of the whole.
 """
 
 from __future__ import annotations
@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import inverse, move_points, rotate_vectors, skew
+from grindvision.geometry import (
+    inverse,
+    move_points,
+    orthonormalised,
+    rigid,
+    rotate_vectors,
+    skew,
+    small_motion,
+)
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import TUKEY, block_covariance
@@ -61,6 +69,9 @@ NORMAL_QUANTILE = 1.1503
 
 MIN_GAIN = 0.05
 """Part of the loss over blocks that were not fitted by which a higher order must predict them better."""
+
+RIGID_STEPS, RIGID_REST_MM = 100, 1e-3
+"""Most steps of the best rigid fit, and the motion of the part's rim at which it rests."""
 
 STEPS, AT_REST = 25, 0.01
 """Most steps of a fit, and the change of the surface, in parts of the residuals' spread, at which it rests."""
@@ -115,23 +126,23 @@ def fit_deformation(points: Floats, normals: Floats, target: Surfels, start: Fin
         )
     nothing = zero_field(ORDERS[0], points)
     reach = REACH * nothing.scale_mm
-    rigid = icp_planes(points, normals, target, start.T_target_source, reach, reach / 8, iterations=100)
+    wide = icp_planes(points, normals, target, start.T_target_source, reach, reach / 8, iterations=100)
     samples = _Samples(points, normals, target, reach)
-    sharp = icp_planes(points, normals, target, rigid.T_target_source, reach, iterations=100)
-    tries = [_Step.of(samples, one.T_target_source, nothing) for one in (rigid, sharp)]
+    sharp = icp_planes(points, normals, target, wide.T_target_source, reach, iterations=100)
+    tries = [_Step.of(samples, one.T_target_source, nothing) for one in (wide, sharp)]
     first = min(tries, key=lambda step: spread_of(step.residuals))
     floor = spread_of(first.residuals)
     if not np.isfinite(floor):
         raise DegenerateError(f"at no rigid pose does {FITTING:.0%} of the test scan come near the sample")
     left_out = {0: _held_out_rigid(samples, first)}
-    steps, field, pose = {}, nothing, rigid.T_target_source
+    steps, field, pose = {}, nothing, wide.T_target_source
     for order in ORDERS:
         steps[order] = samples.settled(pose, raised(field, order), floor)
         left_out[order] = samples.held_out(steps[order])
         pose, field = steps[order].pose, steps[order].field
     order = _lowest_of_the_best(samples, left_out)
     chosen = steps[max(order, ORDERS[0])]
-    registration, field = samples.known(chosen, rigid)
+    registration, field = samples.known(chosen, wide)
     held_out = {one: spread_of(residuals) for one, residuals in left_out.items()}
     return DeformationFit(registration, field, points, first.residuals, chosen.residuals, held_out, order)
 
@@ -194,7 +205,22 @@ class _Samples:
             found[out] = step.residuals[out] + design[out] @ change
         return found
 
-    def known(self, step: _Step, rigid: FineRegistration) -> tuple[FineRegistration, Deformation]:
+    def best_rigid(self, pose: Floats) -> Floats:
+        """The pose (4, 4) of least squared distances between the surfaces, from one near it: steps along tangents of
+        the surface, since over millimetres of bending the motion nearest to the field is not yet it."""
+        nothing = zero_field(1, self.points)
+        centre = nothing.centre_mm
+        for _ in range(RIGID_STEPS):
+            step = _Step.of(self, pose, nothing)
+            shown = np.isfinite(step.residuals)
+            design = np.column_stack([step.up, np.cross(self.points - centre, step.up)])[shown]
+            twist = -np.linalg.lstsq(design, step.residuals[shown], rcond=1e-6)[0]
+            pose = orthonormalised(pose @ rigid(None, centre) @ small_motion(twist) @ rigid(None, -centre))
+            if np.linalg.norm(twist[:3]) + nothing.scale_mm * np.linalg.norm(twist[3:]) < RIGID_REST_MM:
+                break
+        return pose
+
+    def known(self, step: _Step, start: FineRegistration) -> tuple[FineRegistration, Deformation]:
         """Registration and field with what is known of them: errors alike within blocks, and the prior where no
         residual tells."""
         design = along_normals(step.field.terms(self.points), step.up)
@@ -208,7 +234,7 @@ class _Samples:
         up = np.where(used[:, None], step.up, self.normals)
         motions, back = _motions(step.field, self.points, up)
         rest = np.eye(len(covariance)) - back @ motions
-        motion = step.field.nearest_motion(self.points, up)
+        motion = inverse(step.pose) @ self.best_rigid(step.pose @ step.field.nearest_motion(self.points, up))
         field = replace(step.field.less_motion(motion), covariance=rest @ covariance @ rest.T)
         pose = step.pose @ motion
         rotation = np.kron(np.eye(2), pose[:3, :3])
@@ -218,7 +244,7 @@ class _Samples:
         jacobian = np.column_stack([along, np.cross(move_points(pose, self.points[shown]) - centre, along)])
         pose_errors = rotation @ motions @ covariance @ motions.T @ rotation.T
         found = FineRegistration(
-            pose, spread, float(shown.mean()), rigid.iterations, True, centre, jacobian.T @ jacobian, pose_errors,
+            pose, spread, float(shown.mean()), start.iterations, True, centre, jacobian.T @ jacobian, pose_errors,
             np.array([spread**2]),
         )  # fmt: skip
         return found, field

@@ -22,6 +22,7 @@ from grindvision.records import by_content
 from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.deformation import Deformation
 from grindvision.vision.registration.deformation_fit import DeformationFit, fit_deformation
+from grindvision.vision.registration.field_misfit import FieldMisfit, field_misfit
 from grindvision.vision.registration.model_registration import model_at_pose, register_to_model
 from grindvision.vision.registration.pair_diagnostics import PairNames
 from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
@@ -85,11 +86,12 @@ SPREADS = 3.0
 class DeformedPart:
     """How a test part is deformed against the sample, frame of the test scan.
 
-    ``field``: where its points lay on the unbent part, less the pose; at its surfels ``points`` (N, 3) how far
-    ``sizes_mm`` (N,) the part is displaced along its outward normal, and the standard deviation ``sigma_mm`` (N,) of
-    that; the pose is the motion that leaves least of it. ``explained``: fraction of the squared difference after a
-    rigid registration that the field takes up, ``left_mm`` the standard deviation of what it leaves; ``held_out_mm``:
-    that over blocks of surface left out of the fit, by order of the field, 0 for none.
+    ``field``: where its points lay on the unbent part, less the pose, which is the best rigid fit; at its surfels
+    ``points`` (N, 3) how far ``sizes_mm`` (N,) the part is displaced along its outward normal, and the standard
+    deviation ``sigma_mm`` (N,) of the bent surface, by the field and by the ``misfit`` that it leaves. ``explained``:
+    fraction of the squared difference after a rigid registration that the field takes up, ``left_mm`` the standard
+    deviation of what it leaves; ``held_out_mm``: that over blocks of surface left out of the fit, by order of the
+    field, 0 for none.
     """
 
     field: Deformation
@@ -99,6 +101,7 @@ class DeformedPart:
     explained: float
     left_mm: float
     held_out_mm: dict[int, float]
+    misfit: FieldMisfit
 
     @property
     def max_mm(self) -> float:
@@ -114,6 +117,11 @@ class DeformedPart:
     def max_at_mm(self) -> Floats:
         """Where (3,) it is largest."""
         return np.asarray(self.points[int(np.argmax(np.abs(self.sizes_mm)))])
+
+    def place_variances(self, points: Floats, normals: Floats) -> Floats:
+        """Variances (N,) in mm2 of the bent surface along normals (N, 3) at points (N, 3), by the field and by what it
+        leaves there more than elsewhere."""
+        return self.field.variances(points, normals) + self.misfit.beyond_usual(points)
 
     def facts(self) -> dict[str, object]:
         """Size, place and certainty as numbers, for a report."""
@@ -231,10 +239,11 @@ def _by_field(
     clock.lap("icp")
     normals = scan.surfels.normals[chosen]
     sizes = -(best.field.displacements(best.points) * normals).sum(axis=1)
-    sigma = np.sqrt(best.field.variances(best.points, normals))
+    misfit = field_misfit(best.points, best.after_mm, best.field.scale_mm / best.field.order)
+    sigma = np.sqrt(best.field.variances(best.points, normals) + misfit.variances(best.points))
     deformed = DeformedPart(
-        best.field, best.points, sizes, sigma, best.explained, best.spread_mm, best.held_out_mm
-    )  # fmt: skip
+        best.field, best.points, sizes, sigma, best.explained, best.spread_mm, best.held_out_mm, misfit
+    )
     registration = Registration(scan, bent, verified, best.registration, clock.laps_s)
     return DeformedRegistration(registration, deformed, surface)
 
@@ -271,7 +280,9 @@ def _checked(fit: DeformationFit, scan: Scan, bent: Scan, rng: np.random.Generat
         DegenerateError: the two are another part, or the field folds or tears it.
     """
     half = fit.field.scale_mm
-    largest = float(np.linalg.norm(fit.field.displacements(fit.points), axis=1).max())
+    # less the motion nearest to it, so that it counts for nothing how far the best rigid fit slides along the surface
+    bending = fit.field.less_motion(fit.field.nearest_motion(fit.points)).displacements(fit.points)
+    largest = float(np.linalg.norm(bending, axis=1).max())
     if fit.order == 0:
         raise DegenerateError("no field predicts surface that it was not fitted to better than a rigid pose")
     if largest > MAX_SIZE * half:
@@ -318,4 +329,6 @@ def bent_scan(scan: Scan, T_target_source: Floats, field: Deformation) -> Scan:
         grid = build_cells(move_points(T_target_source, places), one.grid.size_mm)
         return replace(one, grid=grid, normals=normals)
 
-    return replace(scan, points=moved(scan.points), surfels=surfels(scan.surfels), voxels=surfels(scan.voxels))
+    return replace(
+        scan, points=moved(scan.points), surfels=surfels(scan.surfels), voxels=surfels(scan.voxels), bent=True
+    )

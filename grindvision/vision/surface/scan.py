@@ -53,7 +53,8 @@ class Scan:
 
     ``viewpoint_mm`` (3,) is the scanner, None where it is not known; then the side the normals point to is a guess.
     ``surfels`` are fine, ``voxels`` coarse; ``features`` (M, 33) are the voxels' FPFH, (M, 0) where left out;
-    ``sided``: the normals are known to point outwards without a viewpoint, as a model's are.
+    ``sided``: the normals are known to point outwards without a viewpoint, as a model's are; ``bent``: surfels were
+    moved by a field, and no longer lie in the cells of their points.
     """
 
     points: Floats
@@ -62,6 +63,7 @@ class Scan:
     voxels: Surfels
     features: Floats
     sided: bool = False
+    bent: bool = False
 
     @property
     def keypoints(self) -> Keypoints:
