@@ -116,7 +116,7 @@ def draw(table: pd.DataFrame) -> Figure:
             f"{row.right} of {row.answers}", (at, row.low_percent), (-6, 2), textcoords="offset points", ha="right"
         )
     axes.axvline(90, color=COLOURS["grey"], linewidth=0.6, linestyle=":")
-    axes.text(89.5, 30, "warned of", ha="right", fontsize=9)
+    axes.text(89.5, 60, "warned of", ha="right", fontsize=9)
     axes.set(xlim=(48, 102), ylim=(0, 103), xlabel="stated confidence, %", ylabel="answers that are right, %")
     axes.legend(loc="center left")
     return fig
