@@ -56,7 +56,7 @@ def source_trial(rng: np.random.Generator, source: str) -> dict[str, float]:
     off = [other for other in ("scanner noise", "scanner bias", "joints") if source not in (other, "all")]
     tracker = aligned_tracker(quiet=source not in ("tracker", "all"))
     measurements = measurements_of(measured(plan, without(robot, *off), tracker, rng, every=None))
-    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
+    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True, diagnose=False))
     return {"squared": fit.errors(train=False).rms ** 2}
 
 
@@ -116,7 +116,7 @@ def pose_trial(rng: np.random.Generator, choice: str, count: int, spheres: int) 
     else:
         rows = rng.choice(np.flatnonzero(plan.train), count, replace=False)
     measurements = measurements_of(measured(part_of(plan, rows), robot, tracker, rng, every=None))
-    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True))
+    fit = calibrate(measurements, robot.nominal, Options(base_fixed=True, diagnose=False))
     there = random_readings(robot, 120, np.random.default_rng(0))
     return {"true": float(there.errors_mm(fit.cell, tracker).mean())}
 
@@ -190,7 +190,7 @@ class Elsewhere:
         return suggest_poses(self.fit, there, count, rng).q_rad
 
     def with_more(self, q_rad: ArrayLike, rng: np.random.Generator) -> Elsewhere:
-        """The calibration again with a sphere measured at each of some more joint angles (M, n)."""
+        """The calibration again with a sphere measured at each of some more joint angles (M, n), the cell alone."""
         q = np.asarray(q_rad, dtype=float)
         poses = self.robot.believed_poses(q)
         centres = poses[:, :3, 3] + 400.0 * poses[:, :3, 2]
@@ -205,7 +205,7 @@ class Elsewhere:
             np.append(old.sphere, names),
             train=np.append(old.train, more.train),
         )
-        fit = calibrate(measurements, self.robot.nominal, Options(base_fixed=True))
+        fit = calibrate(measurements, self.robot.nominal, Options(base_fixed=True, diagnose=False))
         return replace(self, measurements=measurements, fit=fit)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from grindvision.calibration.causes import Cause, causes_of, wave_cause
 from grindvision.calibration.estimate import Sigmas, deviations, unit_sizes
@@ -159,7 +159,7 @@ def _strongest(
             continue
         gain = float(((sides.T @ left) ** 2).sum())
         ratio = (gain / count) / max((total - gain) / (freedom - count), 1e-300)
-        chance = float(fisher.sf(ratio, count, freedom - count))
+        chance = float(fdtrc(count, freedom - count, ratio))
         if best is None or (chance, -gain) < best[:2]:
             best = (chance, -gain, cause, sides)
     return best

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.estimate import Sigmas, deviations, prior_widths, residuals_of, unit_sizes
@@ -125,7 +125,7 @@ def strongest_wave(fit: LinearFit, basis: Floats, left: Floats, freedom: int, or
     total = float(left @ left)
     ratio = (gain / 2) / max((total - gain) / (freedom - 2), 1e-300)
     columns = np.linalg.qr(best[2])[0]
-    return Wave(best[0], best[1], float(gain), float(fisher.sf(ratio, 2, freedom - 2)), columns)
+    return Wave(best[0], best[1], float(gain), float(fdtrc(2, freedom - 2, ratio)), columns)
 
 
 def find_waves(

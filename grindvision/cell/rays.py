@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from grindvision.cell.solids import Solid
 from grindvision.extras import extra
 from grindvision.kernels import njit
+from grindvision.open3d_import import leave_out_plotly
 from grindvision.records import by_content
 
+leave_out_plotly()
 with extra("sim"):
     import open3d as o3d
 

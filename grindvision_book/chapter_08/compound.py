@@ -37,7 +37,7 @@ from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_
 from grindvision.vision.change.oriented_box import BoxPath
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision_book.chapter_08.offsets import square_to
-from grindvision_book.chapter_08.registered import RegisteredPair, registered_pairs, true_registration
+from grindvision_book.chapter_08.registered import RegisteredPair, pairs_in_place, registered_pairs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,10 +185,9 @@ def _registered(
         believed.append(_believed_pose(calibrated, tracker, q_rad) if calibration else robot.exact_poses(q_rad))
     wider_mm = None if around_mm is None else np.sqrt(2) * around_mm
     sample = _scan_of_spot(place, place.good, scanner, _view_of_good_part(place, scanner, rng), rng, wider_mm)
-    pairs = registered_pairs(sample, tests, None if around_mm is None else believed)
     if not registration:
-        pairs = [pair.at(true_registration(sample, test)) for pair, test in zip(pairs, tests, strict=True)]
-    return pairs, believed
+        return pairs_in_place(sample, tests), believed
+    return registered_pairs(sample, tests, None if around_mm is None else believed), believed
 
 
 def _compared(place: Workplace, believed: list[Floats], found_paths: Sequence[BeadPath | BoxPath]) -> pd.DataFrame:

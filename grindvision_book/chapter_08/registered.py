@@ -14,9 +14,9 @@ from grindvision.vision.change.change_detection import find_change
 from grindvision.vision.change.oriented_box import BoxPath
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.icp import FineRegistration
-from grindvision.vision.registration.scan_registration import propose, refine
-from grindvision.vision.registration.verification import VerifiedPose, choose_pose
-from grindvision.vision.surface.scan import Resolution, prepare_pair, prepare_scan
+from grindvision.vision.registration.scan_registration import propose, refine, refine_from
+from grindvision.vision.registration.verification import choose_pose
+from grindvision.vision.surface.scan import Resolution, choose_resolution, coarser, prepare_pair, prepare_scan
 from grindvision.vision.surface.scan import Scan as PreparedScan
 from grindvision_book.chapter_06.boxes import paper_path
 
@@ -25,11 +25,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RegisteredPair:
-    """Both scans made ready, the coarse pose, and the registration T_sample_test between them."""
+    """Both scans made ready, and the registration T_sample_test between them."""
 
     sample: PreparedScan
     test: PreparedScan
-    coarse: VerifiedPose
     registration: FineRegistration
 
     @classmethod
@@ -39,19 +38,28 @@ class RegisteredPair:
         Raises:
             DegenerateError: the scans do not fit, do not overlap enough, or leave a motion free.
         """
-        proposing, choosing, refining = np.random.default_rng(0).spawn(3)
+        proposing, choosing, refining = _draws()
         test, sample = prepare_pair(test_points, sample_points, (np.zeros(3), np.zeros(3)))
         test, poses = propose(test, sample, proposing)
         coarse = choose_pose(test, sample, poses, choosing)
-        return cls(sample, test, coarse, refine(test, sample, coarse, refining))
+        return cls(sample, test, refine(test, sample, coarse, refining))
+
+    @classmethod
+    def near(cls, sample_points: Floats, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
+        """``of`` for scans whose pose (4, 4) is known well: ICP alone, from there."""
+        sizes = coarser(choose_resolution(test_points), choose_resolution(sample_points))
+        test, sample = (
+            prepare_scan(points, sizes, np.zeros(3), feature_voxels=None) for points in (test_points, sample_points)
+        )
+        return cls(sample, test, refine_from(test, sample, T_sample_test, _draws()[2]))
 
     def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
         """Register another scan with the same sample, starting from a pose (4, 4) that is known well."""
         size = self.sample.surfels.grid.size_mm
         sizes = Resolution(size / 3, size, self.sample.voxels.grid.size_mm)
         test = prepare_scan(test_points, sizes, np.zeros(3), feature_voxels=None)
-        coarse = replace(self.coarse, registration=replace(self.coarse.registration, T_target_source=T_sample_test))
-        return replace(self, test=test, registration=refine(test, self.sample, coarse, np.random.default_rng(0)))
+        registration = refine_from(test, self.sample, T_sample_test, np.random.default_rng(0))
+        return replace(self, test=test, registration=registration)
 
     def at(self, T_sample_test: Floats) -> RegisteredPair:
         """The same scans under another registration (4, 4)."""
@@ -85,6 +93,14 @@ def true_registration(sample: Scan, test: Scan) -> Floats:
     return inverse(sample.T_world_scanner) @ test.T_world_scanner
 
 
+def pairs_in_place(sample: Scan, tests: list[Scan]) -> list[RegisteredPair]:
+    """The scans as they truly lie; what is known of each registration comes from ICP that begins there."""
+    truth = [true_registration(sample, test) for test in tests]
+    first = RegisteredPair.near(sample.points, tests[0].points, truth[0])
+    others = [first.with_test(test.points, pose) for test, pose in zip(tests[1:], truth[1:], strict=True)]
+    return [pair.at(pose) for pair, pose in zip([first, *others], truth, strict=True)]
+
+
 def registered_pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
     """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
     if believed is None:
@@ -93,3 +109,8 @@ def registered_pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | N
     T_sample_base = first.registration.T_target_source @ inverse(believed[0])
     moved = zip(tests[1:], believed[1:], strict=True)
     return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]
+
+
+def _draws() -> list[np.random.Generator]:
+    """What the three stages of a registration draw from: proposing, choosing, refining."""
+    return np.random.default_rng(0).spawn(3)

@@ -57,9 +57,7 @@ def _draw(fig: Figure, svg: Path, png: Path, about: dict[str, str]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    if engine := fig.get_layout_engine():
-        engine.execute(fig)
-        fig.set_layout_engine("none")
+    lay_out(fig)
     screen_dpi = fig.dpi
     canvas: Any = FigureCanvasSVG(fig)
     fig.set_dpi(LAYER_DPI)
@@ -70,6 +68,13 @@ def _draw(fig: Figure, svg: Path, png: Path, about: dict[str, str]) -> None:
     canvas = FigureCanvasAgg(fig)
     with write_whole(png) as path:
         canvas.print_png(path, metadata={**about, "Software": None})
+
+
+def lay_out(fig: Figure) -> None:
+    """Give the axes of a figure their places, once: each later drawing would do it twice."""
+    if engine := fig.get_layout_engine():
+        engine.execute(fig)
+        fig.set_layout_engine("none")
 
 
 def save_scene(plotter: pyvista.Plotter, name: str, data: pd.DataFrame, caption: str) -> None:

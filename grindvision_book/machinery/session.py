@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
 from grindvision.files import write_text
+from grindvision.open3d_import import leave_out_plotly
 from grindvision_book.machinery.places import ROOT, figures_folder
 from grindvision_book.machinery.shown_tables import table_html
 
@@ -78,6 +79,7 @@ def start(chapter: str) -> None:
         _look_of_scenes(pyvista)
     elif not any(isinstance(finder, _ScenesToCome) for finder in sys.meta_path):
         sys.meta_path.insert(0, _ScenesToCome())
+    leave_out_plotly()
     _session.chapter = chapter
     _session.answers.clear()
     (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)

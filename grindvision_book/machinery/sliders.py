@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
-from grindvision_book.machinery.figures import save_figure, shown_in
+from grindvision_book.machinery.figures import lay_out, save_figure, shown_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +66,7 @@ def frames_html(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[fl
     """HTML with the pictures of all values, of one scale, and a slider that chooses one; arguments as in ``slider``."""
     middle, frames = len(values) // 2, []
     about = html.escape(caption, quote=True)
-    pictures = _pictures(draw, values, format="webp", dpi=90, pil_kwargs={"quality": 70})
+    pictures = _pictures(draw, values, "webp", pil_kwargs={"quality": 70})
     for at, (value, picture) in enumerate(zip(values, pictures, strict=True)):
         told = html.escape(_told(label, value), quote=True)
         source = f"data:image/webp;base64,{base64.b64encode(picture).decode()}"
@@ -82,19 +82,24 @@ def _told(label: str, value: float) -> str:
     return f"{quantity} {value:g} {unit}".rstrip()
 
 
-def _pictures(draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], **how: Any) -> list[bytes]:
-    """The pictures of all values, of one scale; ``how`` they are saved as Matplotlib's ``savefig`` takes it."""
+def _pictures(
+    draw: Callable[[Axes, float], pd.DataFrame], values: Sequence[float], kind: str, **how: Any
+) -> list[bytes]:
+    """The pictures of all values, of one scale; ``kind`` is png or webp, ``how`` they are written as Matplotlib's
+    canvas takes it."""
     import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figures, pictures = [], []
     for value in values:
-        fig, axes = plt.subplots(figsize=SLIDER_PICTURE)
+        fig, axes = plt.subplots(figsize=SLIDER_PICTURE, dpi=90)
         draw(axes, value)
         figures.append(fig)
     _same_scale(figures)
     for fig in figures:
-        picture = io.BytesIO()
-        fig.savefig(picture, **how)
+        lay_out(fig)
+        canvas, picture = FigureCanvasAgg(fig), io.BytesIO()
+        getattr(canvas, f"print_{kind}")(picture, **how)
         plt.close(fig)
         pictures.append(picture.getvalue())
     return pictures
@@ -123,7 +128,7 @@ def _show_slider(
     import ipywidgets
     from IPython import display
 
-    pictures = dict(zip(values, _pictures(draw, values, format="png", dpi=90), strict=True))
+    pictures = dict(zip(values, _pictures(draw, values, "png"), strict=True))
 
     def show(value: float) -> None:
         display.display(display.Image(pictures[value], alt=_told(label, value)), display.Markdown(f"*{caption}*"))

@@ -308,11 +308,17 @@ def refine(
     source: Scan, target: Scan, coarse: VerifiedPose, rng: np.random.Generator, n_surfels: int = 6_000
 ) -> FineRegistration:
     """Point-to-plane ICP on fine surfels from the verified pose, then with a smooth bending allowed, until it rests."""
+    return refine_from(source, target, coarse.registration.T_target_source, rng, n_surfels)
+
+
+def refine_from(
+    source: Scan, target: Scan, T_target_source: Floats, rng: np.random.Generator, n_surfels: int = 6_000
+) -> FineRegistration:
+    """``refine`` from a pose (4, 4) that is known well."""
     chosen = np.sort(random_order(source.surfels.grid.keys, rng)[:n_surfels])  # neighbours in a row share the cache
     places, normals = source.surfels.points[chosen], source.surfels.normals[chosen]
     size = target.surfels.grid.size_mm
-    start = coarse.registration.T_target_source
-    found = icp_planes(places, normals, target.surfels, start, 2 * size, iterations=100)
+    found = icp_planes(places, normals, target.surfels, T_target_source, 2 * size, iterations=100)
     return refine_bent(places, normals, target.surfels, found)
 
 
