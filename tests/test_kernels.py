@@ -1,6 +1,7 @@
 """Compiled kernels: few parameters, a docstring each, kept in the package's own cache."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import grindvision
@@ -17,11 +18,10 @@ def sources():
             yield f"{house}/{path.relative_to(folder).as_posix()}", path.read_text(encoding="utf-8")
 
 
+@cache
 def functions():
-    for name, text in sources():
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef):
-                yield name, node
+    trees = [(name, ast.parse(text)) for name, text in sources()]
+    return [(name, node) for name, tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
 
 
 def parameters_of(node):
