@@ -125,7 +125,7 @@ def ground_part(folder: Path, every: int = 1) -> GroundPart:
     settled = open3d_icp(scan, model, pose, reach_mm=10.0)
     places = [found.difference.surfels] * 2, [found.difference.signed_mm] * 2
     if found.deformed is not None:
-        places = (found.deformed.points, places[0][1]), (found.deformed.sizes_mm, places[1][1])
+        places = [found.deformed.points, places[0][1]], [found.deformed.sizes_mm, places[1][1]]
     chosen = [out[marked[cKDTree(scan).query(at)[1]]] for at, out in zip(*places, strict=True)]
     return GroundPart(
         found,
