@@ -176,6 +176,7 @@ def _map(axes: Axes, piece: StockPiece, heights: np.ndarray, top: float, title: 
         heights.T, origin="lower", extent=(-half, x[-1] + half, -half, y[-1] + half), cmap="RdBu_r", vmin=-top, vmax=top
     )
     axes.contour(x, y, piece.inside.T.astype(float), levels=[0.5], colors=GREY, linewidths=0.8)
-    axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.03, 1.0)), label="mm")
+    bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.03, 1.0)))
+    bar.ax.set_title("mm", fontsize=8)  # beside it stands the next panel's label
     axes.set(xlabel="along, mm", ylabel="across, mm")
     axes.set_title(title, fontsize=10)
