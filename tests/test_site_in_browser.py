@@ -1,6 +1,7 @@
 """The HTML book in a real browser, with no network: what is drawn, found, enlarged and turned."""
 
 import functools
+import importlib.util
 import io
 import re
 from pathlib import Path
@@ -11,8 +12,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from grindvision_book.machinery.places import FIGURES
+from grindvision_book.machinery.places import FIGURES, ROOT
 from grindvision_book.machinery.shown_tables import heading, table_html
+from grindvision_book.machinery.sliders import frames_html
 from grindvision_book.site.pdf import installed_chromium
 from grindvision_book.site.pipelines import PLAYBACKS
 from grindvision_book.site.scenes import SCENES
@@ -24,6 +26,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; install the package chromium"),
 ]
 
+STATIC = ROOT / "grindvision_book" / "site_sources" / "_static"
 HEAVIEST_PAGE_BYTES = 3_000_000
 HEAVIEST_SCENE_BYTES = 3_000_000
 WIDTHS = (1280, 390)
@@ -233,6 +236,28 @@ def test_text_and_pictures_can_be_read_on_either_background(whole_site, browser,
         drawn_dark = picture.get_attribute("data-dark") is not None
         assert scheme == "light" or behind == ("rgb(20, 20, 20)" if drawn_dark else "rgb(255, 255, 255)")
     context.close()
+
+
+def test_a_slider_can_be_read_on_either_background(browser):
+    theme = (
+        Path(importlib.util.find_spec("pydata_sphinx_theme").origin).parent / "theme/pydata_sphinx_theme/static/styles"
+    )
+    styles = (theme / "pydata-sphinx-theme.css", STATIC / "book.css")
+    sheets = "".join(f"<style>{path.read_text(encoding='utf-8')}</style>" for path in styles)
+    frames = frames_html(_a_line, [1.0, 2.0, 3.0], "voxel edge, mm", "A line. Synthetic")
+    box = f"<div class='bd-content'><div class='cell_output'><div class='output text_html'>{frames}</div></div></div>"
+    context = browser.new_context()
+    tab = context.new_page()
+    for scheme in ("light", "dark"):
+        tab.set_content(f"<html data-theme='{scheme}' data-mode='{scheme}'>{sheets}<body>{box}</body></html>")
+        for selector in (".frames figcaption", ".frames output"):
+            assert tab.locator(selector).evaluate(CONTRAST) >= 4.5, f"{selector}, {scheme}"
+    context.close()
+
+
+def _a_line(axes, slope) -> pd.DataFrame:
+    axes.plot([0.0, 1.0], [0.0, slope])
+    return pd.DataFrame({"slope": [slope]})
 
 
 #: WCAG contrast of an element's text against the first opaque background behind it.

@@ -25,7 +25,7 @@ ORDER = (
 )
 
 _HEAD = """\
-# The package in ten scripts
+# The package in short scripts
 
 Each runs as it stands, in seconds once the inner loops are compiled, and uses nothing but the names at the top of
 `grindvision`. Inputs are synthetic, made by `simulate` or in the script. The scripts are in the folder `examples`; the
