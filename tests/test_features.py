@@ -170,6 +170,18 @@ def test_an_origin_beside_the_line_of_sight_is_no_scanner(folded_scan):
         assert guess_viewpoint(folded_scan - [0, 0, 800] - side, normals) is None
 
 
+@pytest.mark.parametrize("aside_deg", [0, 60, 80])
+def test_an_origin_from_which_half_of_a_ball_is_seen_from_behind_is_no_scanner(rng, aside_deg):
+    """A cloud of a ball's upper half whose file counts from some place aside."""
+    directions = rng.normal(size=(8000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    seen = directions[directions[:, 2] > 0.2]
+    normals = np.where(rng.random((len(seen), 1)) < 0.5, seen, -seen)
+    aside = np.radians(aside_deg)
+    origin = 350 * np.array([np.sin(aside), 0.0, np.cos(aside)])
+    assert (guess_viewpoint(50 * seen - origin, normals) is not None) == (aside_deg == 0)
+
+
 def test_covered_cells_are_counted_as_by_hand(rng):
     away = rng.normal(scale=[30, 20, 5], size=(500, 3))
     directions = np.array([random_rotation(rng)[2] for _ in range(20)])

@@ -325,6 +325,7 @@ def _coverage(coverage: Coverage) -> dict[str, Any]:
         },
         "min_height_mm": stated,
         "min_width_mm": coverage.width_mm,
+        "min_sideways_mm": coverage.sideways_mm,
         "least_height_mm": stated,  # the keys of 0.1, for one version
         "least_width_mm": coverage.width_mm,
     }

@@ -46,6 +46,11 @@ FREE_CELLS, REACH_CELLS = 1.0, 20.0
 the second, it belongs to nothing that the sample shows."""
 
 
+SIDEWAYS_CELLS = 2.0
+"""Flash in line with a face, beyond its edge: a plane reaches 1.2 cells past its surfel's mean, which lies half a cell
+inside of the edge or less; what is farther out lies in a cell of its own."""
+
+
 @by_content
 @dataclass(frozen=True)
 class Difference:
@@ -80,6 +85,12 @@ class Difference:
     def min_width_mm(self) -> float:
         """Width in mm from which a bead of the least height is told: narrower ones are averaged with what is beside."""
         return 3 * self.cell_mm
+
+    @property
+    def min_sideways_mm(self) -> float:
+        """How far in mm flash in line with a face must stand out beyond its edge to be told: nearer, it may be the same
+        face, whose last surfel lies somewhat inside of the edge."""
+        return SIDEWAYS_CELLS * self.cell_mm
 
     @property
     def compared(self) -> float:
@@ -155,7 +166,7 @@ def find_change(
     surface = surface_in_frame(target.surfels, back)
     surfels = source.surfels
     size = surface.grid.size_mm
-    signed, normals, variance = signed_distances(surface, surfels.points, 2 * size)
+    signed, normals, variance = signed_distances(surface, surfels.points, 2 * size, trusted=True)
     far = np.isnan(signed)
     if far.any():
         signed[far], normals[far] = _far_distances(target, back, surfels.points[far], size)
@@ -171,10 +182,10 @@ def find_change(
     pose = _pose_variance(registration, registration.covariance, surfels.points, normals)
     # no spot is trusted better than the scans agree over all, or than a pose that is hardly known
     floor = np.full(len(signed), sigma**2)
+    hidden = _pose_variance(registration, registration.total_covariance, surfels.points, normals)
     if place_variance is not None:
         pose += place_variance(surfels.points, normals)
     elif is_hardly_known(registration, surfels.points):
-        hidden = _pose_variance(registration, registration.total_covariance, surfels.points, normals)
         floor = np.maximum(floor, hidden)
     level = 1.96 * np.sqrt(np.maximum(variance + pose + field, floor))
     # a bead is rough itself; only what is rough on both parts, edges and corners, is no sign of one
@@ -196,7 +207,8 @@ def find_change(
     # what stands out but may be a wall that the sample's scanner missed was not compared
     comparable[doubtful] = candidates[doubtful]
     comparable |= free
-    standing = Standing(np.flatnonzero(candidates | free), free, aside, signed, normals, firm)
+    alone = np.hypot(firm, 1.96 * np.sqrt(hidden))  # what the scanners' smooth errors may do to a face as a whole
+    standing = Standing(np.flatnonzero(candidates | free), free, aside, signed, normals, firm, alone)
     clusters, specks = find_pieces(source, surface, standing, min_surfels)
     middle = float(np.median(level[shown]))
     return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size, specks)

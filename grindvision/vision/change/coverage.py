@@ -53,7 +53,8 @@ class Coverage:
     ``test_fraction`` of the test scan's surface was compared; ``test_missed`` are the larger places that were not,
     largest first, ``test_missed_mm2`` their and all other's area. ``sample_fraction``, ``sample_missed``,
     ``sample_missed_mm2``: of the sample's surface, where the test scan showed nothing. ``height_mm`` (median) and
-    ``height_95_mm`` (of 95 % of what was compared) from which a bead at least ``width_mm`` wide is told.
+    ``height_95_mm`` (of 95 % of what was compared) from which a bead at least ``width_mm`` wide is told;
+    ``sideways_mm``: how far flash in line with a face must stand out beyond its edge to be told.
     """
 
     test_fraction: float
@@ -65,12 +66,13 @@ class Coverage:
     height_mm: float
     height_95_mm: float
     width_mm: float
+    sideways_mm: float
 
     def __str__(self) -> str:
         return (
             f"{self.test_fraction:.0%} of the test scan and {self.sample_fraction:.0%} of the sample were compared;"
             f" beads {self.width_mm:.2g} mm wide are told from {self.height_mm:.2g} mm high on half of it, from"
-            f" {self.height_95_mm:.2g} mm on 95 %"
+            f" {self.height_95_mm:.2g} mm on 95 %; flash in line with a face is told from {self.sideways_mm:.2g} mm"
         )
 
 
@@ -95,6 +97,7 @@ def find_coverage(source: Scan, target: Scan, registration: FineRegistration, di
         float(np.median(heights)) if told else np.inf,
         float(np.quantile(heights, 0.95)) if told else np.inf,
         difference.min_width_mm,
+        difference.min_sideways_mm,
     )
 
 

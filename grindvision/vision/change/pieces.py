@@ -34,6 +34,10 @@ MIN_VOLUME = 0.05
 MIN_SPECK = 4
 """A speck stands out by twice the level of detection over so many surfels."""
 
+RING_CELLS, SAME_FACE = (1.5, 6.0), 0.8
+"""Surfels between so many cells from a piece whose normals make at most the angle of this cosine with the piece's are
+the surface around it."""
+
 FLOATING_CELLS = 3.0
 """A piece of which nothing comes nearer to the good surface than so many cells does not belong to the part."""
 
@@ -80,7 +84,8 @@ class Speck:
 class Standing(NamedTuple):
     """What stands out: indices ``chosen`` (K,) of the test scan's surfels, and of all of these (M,): ``free``, whether
     they stand where the sample's scanner saw through, ``aside``, whether the sample's normals do not lead there,
-    ``signed`` distances, ``normals`` (M, 3) and ``level`` of detection.
+    ``signed`` distances, ``normals`` (M, 3), ``level`` of detection, and the level ``alone`` of what covers all that
+    was seen of a face.
     """
 
     chosen: Integers
@@ -89,6 +94,7 @@ class Standing(NamedTuple):
     signed: Floats
     normals: Floats
     level: Floats
+    alone: Floats
 
 
 def find_pieces(
@@ -120,6 +126,9 @@ def find_pieces(
         if strong[label] < min(MIN_SPECK, min_surfels) or not dense_enough[label]:
             continue
         members = chosen[labels == label]
+        strong[label] = _strong(source, members, standing, size)
+        if strong[label] < min(MIN_SPECK, min_surfels):
+            continue
         piece = _piece(source, surface, members, standing)
         if piece is None:
             continue
@@ -132,13 +141,34 @@ def find_pieces(
     return tuple(pieces), tuple(specks)
 
 
+def _strong(source: Scan, members: Integers, standing: Standing, size: float) -> int:
+    """How many surfels of a piece stand out by twice the level of detection, of the surface around the piece or, where
+    that is not shown, by the level of what is ``alone``.
+
+    A scanner's smooth errors move a face as a whole, which is no bead: they are alike in a piece and around it.
+    """
+    signed = standing.signed
+    own = signed[members]
+    absolute = int((own > 2 * standing.alone[members]).sum())
+    places = source.surfels.points
+    near, far = (cells * size for cells in RING_CELLS)
+    at, away = nearest(build_cells(places[members], far), places, far)
+    up = standing.normals[members].sum(axis=0)
+    facing = standing.normals @ up > SAME_FACE * np.linalg.norm(up)
+    ring = (at >= 0) & (away > near) & facing & np.isfinite(signed) & ~standing.aside
+    if ring.sum() < MIN_SPECK:
+        return absolute
+    around = max(float(np.median(signed[ring])), 0.0)
+    return max(absolute, int((own - around > 2 * standing.level[members]).sum()))
+
+
 def _piece(source: Scan, surface: Surfels, members: Integers, standing: Standing) -> Cluster | None:
     """The scan's own points in the cells of a piece, with their signed distances; None where it is a wall."""
     flags = np.zeros(len(source.surfels), dtype=bool)
     flags[members] = True
     points = source.points[_points_of(source, flags)]
     size = surface.grid.size_mm
-    distances, up, _ = signed_distances(surface, points, 2 * size)
+    distances, up, _ = signed_distances(surface, points, 2 * size, trusted=True)
     owner = members[nearest(build_cells(source.surfels.points[members], size), points, 4 * size)[0]]
     high = np.isnan(distances) | standing.aside[owner]
     if high.any():

@@ -19,6 +19,7 @@ from grindvision.models import Model
 from grindvision.vision.registration.pair_diagnostics import MAX_SIZE_RATIO, PairNames
 from grindvision.vision.registration.scan_registration import (
     CERTAIN,
+    LEFT_HANDED,
     MIN_POINTS,
     Registration,
     StageClock,
@@ -87,8 +88,8 @@ def register_to_model(
     except DegenerateError as refusal:
         if not isinstance(refusal, AmbiguousError) and _fits_mirrored(source, whole, resolution, viewpoint_mm, rng):
             raise InputError(
-                f"the {names.source} scan fits the {names.target} model only as its mirror image: one of the two was"
-                " exported left-handed (two axes swapped, or one with the wrong sign); export it again, or say"
+                f"no pose was found in which the {names.source} scan fits the {names.target} model as it is, but one in"
+                f" which its mirror image does: if one of the two was {LEFT_HANDED}, export it again, or say"
                 " --mirrored; or does the scan show the mirrored twin of the part?"
             ) from None
         if question := other_unit(*_sizes(source, surface), names):

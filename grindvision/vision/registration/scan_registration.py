@@ -141,8 +141,8 @@ def register(
         compared.
 
     Raises:
-        InputError: NaN points, numbers that are no points, or scans that fit as mirror images only. UnitError: one scan
-            is many times larger than the other.
+        InputError: NaN points, numbers that are no points, or scans of which only a mirror image fits. UnitError: one
+            scan is many times larger than the other.
         DegenerateError: too few points; the scans do not fit or do not overlap enough. AmbiguousError: a motion is
             free.
 
@@ -200,9 +200,10 @@ def register_pair(
                 ) from None
         elif mirrored is not None and mirrored.confidence >= CERTAIN:
             raise InputError(
-                f"the {names.source} scan fits the {names.target} only as its mirror image ({mirrored.agreement}):"
-                f" one of the two was {LEFT_HANDED}; export it again, or say --mirrored; or do they show a symmetric"
-                " part from its two sides?"
+                f"no pose was found in which the {names.source} scan fits the {names.target} as it is, but one in which"
+                f" its mirror image does ({mirrored.agreement}): if one of the two was {LEFT_HANDED}, export it again,"
+                " or say --mirrored; if none was, the part is nearly symmetric and they show its two sides: scan from"
+                " nearer views"
             ) from None
         raise
     clock.lap("icp")

@@ -17,6 +17,7 @@ from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.parallel import one_blas_thread
 from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.evidence import LOST
+from grindvision.vision.registration.face_poses import face_poses
 from grindvision.vision.registration.free_motions import motion_name, motion_names
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.mirror_image import MirrorImage, mirrored_fit
@@ -96,13 +97,16 @@ def choose_pose(
     candidates = judge.settled(judge.refined_all(poses[:tried]))
     if not candidates or judge.is_uncertain(candidates[0]):
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(poses[tried:]))])
+    if not candidates or judge.is_uncertain(candidates[0]):
+        candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(face_poses(judge), far=True))])
     if candidates:
         candidates = judge.distinct([*candidates, *plate_poses(judge, candidates[0])])
+    candidates = _overlapping(judge, candidates)
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     for attempt in range(3):
         best = candidates[0]
-        candidates = with_rivals(judge, best, candidates)
+        candidates = _overlapping(judge, with_rivals(judge, best, candidates))
         # rivals that were found tell the axes of symmetry, about which the right pose may lie
         if not judge.differ(best.pose, candidates[0].pose) and (attempt or not is_contradicted(judge, best)):
             break
@@ -112,6 +116,13 @@ def choose_pose(
         raise AmbiguousError(f"the registration is ambiguous: {said}")
     found = _verdict(judge, best, [other for other in candidates if judge.differ(other.pose, best.pose)])
     return replace(found, mirror=mirrored_fit(judge, best))
+
+
+def _overlapping(judge: PoseJudge, candidates: list[Candidate]) -> list[Candidate]:
+    """The candidates that overlap enough, all where none does: of scans turned away from each other nothing can be
+    seen, and nothing speaks against them."""
+    enough = [one for one in candidates if judge.agreement(one.pose).overlap >= MIN_OVERLAP]
+    return enough or candidates
 
 
 def _check_fit(judge: PoseJudge, best: Candidate) -> None:

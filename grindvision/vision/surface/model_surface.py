@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,9 @@ def whole_scan(surface: ModelSurface, resolution: Resolution) -> Scan:
 def scan_seen_from(surface: ModelSurface, resolution: Resolution, eye: Floats) -> Scan:
     """What a scanner at ``eye`` (3,), in the model's frame, would see of it, as a scan without noise.
 
+    Its fine surfels lie in the facets' planes, also beside an edge, where a plane fitted to points cuts the corner: a
+    scan that shows one face alone of the two would stand out of that plane. Their roughness is that of fitted planes.
+
     Raises:
         DegenerateError: next to nothing.
     """
@@ -110,7 +113,10 @@ def scan_seen_from(surface: ModelSurface, resolution: Resolution, eye: Floats) -
     shown = seen(surface, points, normals, eye, LIFT * resolution.surfel_mm)
     if shown.sum() < 100:
         raise DegenerateError("the scanner of the test scan would see nothing of the model at the best pose")
-    return prepare_scan(points[shown], resolution, eye, feature_voxels=None)
+    points, normals = points[shown], normals[shown]
+    scan = prepare_scan(points, resolution, eye, feature_voxels=None)
+    flat, _ = _facet_surfels(points, normals, resolution.surfel_mm, one_side=True)
+    return replace(scan, surfels=replace(flat, roughness_mm=scan.surfels.roughness_mm))  # cells in the same order
 
 
 def _facet_surfels(points: Floats, normals: Floats, size_mm: float, one_side: bool) -> tuple[Surfels, Integers]:

@@ -30,8 +30,12 @@ GLANCE_POINTS = 2000
 MAX_CELLS = 512
 """Cells from the middle of a cloud to its rim that are told apart; outliers lie farther out."""
 
-MIN_AGREEING = 0.7
-"""A scanner's place orients normals as ``seen_along`` does: agreeing less contrary fraction, about 25 degrees apart."""
+MIN_AGREEING = 0.95
+"""A scanner's place orients normals as ``seen_along`` does: agreeing less contrary fraction, where each counts by how
+much of it is seen. From a place that is not the scanner's some of the surface is seen from behind."""
+
+SHADED = 0.2
+"""No surface is hidden from its own scanner; at steps, cells of its picture show up to this fraction twice."""
 
 
 def estimate_normals(
@@ -161,8 +165,11 @@ def guess_viewpoint(points: ArrayLike, normals: ArrayLike | None = None) -> Floa
         # steep walls may well face the scanner and not the direction, and count as little as is seen of them
         sights = towards / np.linalg.norm(places, axis=1) * (facing @ direction)
         one_side = hidden <= MAX_HIDDEN and abs(sights.sum()) >= MIN_AGREEING * np.abs(sights).sum()
+        from_origin = _hidden_from_origin(places, facing, cell_mm)
+        if one_side and from_origin > max(SHADED, 1.3 * hidden):
+            return None
         # of a deep part the rays tell more: nowhere is much less hidden than from its scanner
-        if not one_side and (hidden < DEEP_HIDDEN or _hidden_from_origin(places, facing, cell_mm) > 1.3 * hidden):
+        if not one_side and (hidden < DEEP_HIDDEN or from_origin > 1.3 * hidden):
             return None
     return np.zeros(3)
 

@@ -34,17 +34,19 @@ class CellBlocks(NamedTuple):
 
 
 def signed_distances(
-    target: Surfels, points: ArrayLike, max_mm: float, blocks: CellBlocks | None = None
+    target: Surfels, points: ArrayLike, max_mm: float, blocks: CellBlocks | None = None, trusted: bool = False
 ) -> tuple[Floats, Floats, Floats]:
     """Signed distances (N,) of points (N, 3) from a surface of surfels, positive outside, its normals (N, 3) there, and
     the variance (N,).
 
     The planes around the nearest surfel are blended, weighted by their points and nearness along the surface. NaN
     where no surfel lies within ``max_mm`` or the point is beside the surface. Who asks for the same points again, moved
-    a little, gives the same ``blocks`` each time: most points stay in their cell.
+    a little, gives the same ``blocks`` each time: most points stay in their cell. ``trusted``: planes that miss their
+    own points, as those through corners do, count for less.
     """
     grid = target.grid
-    planes = grid._replace(points=target.planes, order=np.arange(len(target)))
+    rows = target.trusted_planes if trusted else target.planes
+    planes = grid._replace(points=rows, order=np.arange(len(target)))
     queries = np.ascontiguousarray(points, dtype=float)
     blocks = CellBlocks.unknown(len(queries)) if blocks is None else blocks
 

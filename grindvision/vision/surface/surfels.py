@@ -28,6 +28,10 @@ MIN_FLATNESS = 1e-4
 one line lie in any plane through it, and rounding would choose."""
 
 
+USUAL_EXCESS = 2.0
+"""A plane that misses the points around by so many times the usual noise beyond its own counts half."""
+
+
 @by_content
 @dataclass(frozen=True)
 class Surfels:
@@ -60,6 +64,18 @@ class Surfels:
         rows = np.empty((len(self), 8))
         rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7] = self.points, self.normals, self.counts, variance
         return rows[self.grid.order]
+
+    @cached_property
+    def trusted_planes(self) -> Floats:
+        """``planes`` in which a plane that misses its points counts for less than its number of points.
+
+        A plane through a corner runs through neither face. Beside planes that err by the noise alone it must not count.
+        """
+        usual = float(np.median(self.noise_mm)) if len(self) else 0.0
+        excess = np.maximum(self.roughness_mm**2 - self.noise_mm**2, 0)[self.grid.order]
+        rows = self.planes.copy()
+        rows[:, 6] /= 1 + excess / max((USUAL_EXCESS * usual) ** 2, 1e-300) if usual > 0 else 1.0
+        return rows
 
     def __len__(self) -> int:
         return len(self.counts)
