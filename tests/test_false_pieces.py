@@ -36,14 +36,14 @@ def test_concave_corners_of_a_good_part_that_is_scanned_finely_show_nothing(seed
 
 def test_a_plane_through_a_corner_moves_no_distance_from_the_floor_beside_it():
     rng = np.random.default_rng(4)
-    view = looking_at(MIDDLE, 0.6, 0.8)
+    view = looking_at(MIDDLE, 0.6, -0.5)
     surface = prepare_scan(scan_of(STEPPED, view, 0.3, rng, noise_mm=0.008), Resolution(0.3, 0.8, 3.0), np.zeros(3))
     y = np.linspace(-19, -13, 400)  # on the top of the base, 0.3 to 1.6 mm before the foot of a step
     floor = np.column_stack([5 + rng.uniform(0.3, 1.6, 400), y, np.full(400, 10.0)])
     asked = move_points(np.linalg.inv(view), floor)
     plain, trusted = (signed_distances(surface.surfels, asked, 1.6, trusted=kind)[0] for kind in (False, True))
     assert np.nanquantile(np.abs(trusted), 0.9) < 0.5 * np.nanquantile(np.abs(plain), 0.9)
-    assert np.nanquantile(np.abs(trusted), 0.9) < 0.03
+    assert np.nanquantile(np.abs(trusted), 0.9) < 0.05
 
 
 def block():

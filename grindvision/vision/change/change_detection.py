@@ -207,11 +207,10 @@ def find_change(
     # what stands out but may be a wall that the sample's scanner missed was not compared
     comparable[doubtful] = candidates[doubtful]
     comparable |= free
-    alone = np.hypot(firm, 1.96 * np.sqrt(hidden))  # what the scanners' smooth errors may do to a face as a whole
+    alone = np.hypot(firm, 1.96 * np.sqrt(hidden))
     standing = Standing(np.flatnonzero(candidates | free), free, aside, signed, normals, firm, alone)
     clusters, specks = find_pieces(source, surface, standing, min_surfels)
-    middle = float(np.median(level[shown]))
-    return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size, specks)
+    return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])), firm, comparable, size, specks)
 
 
 def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Floats) -> Floats:
