@@ -164,8 +164,7 @@ def find_change(
     """
     back = inverse(registration.T_target_source)
     surface = surface_in_frame(target.surfels, back)
-    surfels = source.surfels
-    size = surface.grid.size_mm
+    surfels, size = source.surfels, surface.grid.size_mm
     signed, normals, variance = signed_distances(surface, surfels.points, 2 * size, trusted=True)
     far = np.isnan(signed)
     if far.any():
@@ -210,7 +209,8 @@ def find_change(
     alone = np.hypot(firm, 1.96 * np.sqrt(hidden))
     standing = Standing(np.flatnonzero(candidates | free), free, aside, signed, normals, firm, alone)
     clusters, specks = find_pieces(source, surface, standing, min_surfels)
-    return Difference(clusters, surfels.points, signed, level, float(np.median(level[shown])), firm, comparable, size, specks)
+    middle = float(np.median(level[shown]))
+    return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size, specks)
 
 
 def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Floats) -> Floats:

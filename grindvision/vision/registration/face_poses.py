@@ -58,7 +58,8 @@ def face_poses(judge: PoseJudge) -> Floats:
 
 def _directions(normals: Floats) -> Floats:
     """Unit normals (K, 3) of the directions in which most of the samples (N, 3) look, the largest first."""
-    rest, found = normals, []
+    rest = normals
+    found: list[Floats] = []
     some = normals[:: max(1, len(normals) // 400)]
     while len(found) < MOST_FACES and len(rest):
         alike = some @ rest.T > COS_FACE
