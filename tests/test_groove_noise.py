@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from grindvision.cell import DepthCamera, JointSize, joint_scene, weld_scene
 from grindvision.errors import GrindvisionWarning
 from grindvision.vision.seam.groove import find_grooves
-from grindvision.vision.seam.groove_diagnostics import bends_on
+from grindvision.vision.seam.groove_diagnostics import Edge, bends_on, edge_or_arc
 from grindvision.vision.seam.groove_profile import Corners, profile_height
 from grindvision.vision.seam.joint_names import FAMILIES
 from grindvision.vision.seam.seam_curve import Strip
@@ -102,3 +102,25 @@ def test_tubes_that_lean_in_noise_are_no_groove(seed):
     found = find_seams(scene.points + 0.4 * rng.standard_normal(scene.points.shape))
     assert [seam.kind for seam in found.seams] == ["saddle"]
     assert cKDTree(scene.root_mm + scene.root_errors_mm).query(found.seams[0].root)[0].mean() < 2.0
+
+
+def test_an_edge_that_noise_hides_is_no_edge_and_is_said(rng):
+    """The same wall, round or with an edge, in noise that is larger than what tells them apart, and in a tenth of it."""
+    place = np.linspace(0.1, 1.7, 16)
+    arc, edged = -((1.75 - place) ** 2), -3.0 * np.maximum(1.0 - place, 0.0)
+    for height, clear in ((arc, Edge.BENDS), (edged, Edge.ENDS)):
+        assert edge_or_arc(np.column_stack([place, height]), 0.001) is clear
+    blurred = (arc + edged) / 2
+    for noise_mm in (0.3, 1.0):
+        assert edge_or_arc(np.column_stack([place, 0.3 * arc]), noise_mm) is Edge.UNTOLD
+    assert edge_or_arc(np.column_stack([place, blurred]), 0.001) is Edge.ENDS
+
+
+def test_a_groove_whose_surface_ends_beside_it_is_followed_with_a_warning(rng):
+    """Nothing tells a strip of one wall's width from one of two round bodies."""
+    places = grid(150, 60)
+    seen = places[:, 1] < 5.6
+    heights = -np.maximum(0, 6 - 1.2 * np.abs(places[:, 1]))
+    points = cloud(places[seen], heights[seen], rng)
+    with pytest.warns(GrindvisionWarning, match=r"hardly any surface is seen beside it|partly outside"):
+        trace_weld(points)

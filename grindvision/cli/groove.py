@@ -204,7 +204,7 @@ def _write_programmes(
         return (place / name).read_text(encoding="ascii"), None
     groove = weld.seams[0].groove if weld.seams else None
     welding = weld_runs(job.wishes, job.torch_speed_mm_s, weld.path, groove, lambda path: _torch(path, options, job))
-    motions = [job.plan_weld(run.path, points) for run in welding.runs]
+    motions = [job.plan_weld(run.path, points, weld.path.closed) for run in welding.runs]
     scripts = [job.write_weld(motion, run, place) for motion, run in zip(motions, welding.runs, strict=True)]
     results["motion"] = motion_facts(motions[0])
     results["welding"] = welding.facts()

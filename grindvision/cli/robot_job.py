@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from grindvision.cli.weld_options import (
     hot_run,
     weld_wishes,
 )
-from grindvision.errors import InputError
+from grindvision.errors import GrindvisionWarning, InputError, UnreachableError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
@@ -68,17 +69,34 @@ class RobotJob:
 
     def plan(self, trajectory: Trajectory, points: np.ndarray) -> Motion:
         """Motion along a trajectory in the scanner's frame, clear of the table and of the scanned points (N, 3)."""
-        from grindvision.motion import plan_motion
-
         fine = trajectory.moved(self.T_base_scanner).refined(step_mm=10.0, step_rad=0.1)
-        return plan_motion(self.robot, fine, self._settings(points))
+        return self._planned(fine, self._settings(points), trajectory.closed)
 
-    def plan_weld(self, path: WeldPath, points: np.ndarray) -> Motion:
-        """Motion along a welding path in the scanner's frame, clear of the same."""
+    def plan_weld(self, path: WeldPath, points: np.ndarray, closed: bool = False) -> Motion:
+        """Motion along a welding path in the scanner's frame, clear of the same; ``closed``: it goes round a seam."""
+        there = path.moved(self.T_base_scanner)
+        return self._planned(there.trajectory, there.plan_options(self._settings(points)), closed)
+
+    def _planned(self, trajectory: Trajectory, options: PlanMotionOptions, closed: bool) -> Motion:
+        """Motion along a trajectory in the base frame.
+
+        Where the last joints cannot make the turn round a closed seam, the torch keeps its axis and spins about it.
+        """
         from grindvision.motion import plan_motion
 
-        there = path.moved(self.T_base_scanner)
-        return plan_motion(self.robot, there.trajectory, there.plan_options(self._settings(points)))
+        try:
+            return plan_motion(self.robot, trajectory, options)
+        except UnreachableError:
+            if not closed:
+                raise
+        motion = plan_motion(self.robot, trajectory, replace(options, spin_free=True))
+        warnings.warn(
+            "the arm cannot turn the torch all round a closed seam: the wire keeps its angles, but the torch's neck"
+            " does not turn with the seam; see that the neck passes beside the work",
+            GrindvisionWarning,
+            stacklevel=2,
+        )
+        return motion
 
     def write(self, motion: Motion, folder: Path) -> str:
         """Write ``program`` with the format's ending into the folder, ``prog_arc`` where asked; returns the name."""

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-#: Places of a path are at most so far apart along the seam, mm.
-STEP_MM = 10.0
+#: Places of a path are at most so far apart along the seam, mm, and the torch turns at most so far between them, rad.
+STEP_MM, STEP_RAD = 10.0, 0.1
 
 #: Speed along the ways through the air, mm/s.
 AIR_MM_S = 50.0
@@ -296,7 +296,9 @@ def _places(seam: Trajectory, start: float, end: float, weave: Weave | None) -> 
         if seam.closed:
             own = np.concatenate([own[:-1] + turn * own[-1] for turn in (-1, 0, 1, 2)])
         at = np.concatenate([[start], own[(own > start + 0.5) & (own < end - 0.5)], [end]])
-    pieces = np.ceil(np.diff(at) / STEP_MM - 1e-9).astype(int)
+    axes = seam.poses_at(at)[:, :3, :3]
+    turns = np.arccos(np.clip((np.einsum("kji,kji->k", axes[1:], axes[:-1]) - 1) / 2, -1, 1))
+    pieces = np.ceil(np.maximum(np.diff(at) / STEP_MM, turns / STEP_RAD) - 1e-9).astype(int)
     inner = [np.linspace(at[k], at[k + 1], max(count, 1), endpoint=False) for k, count in enumerate(pieces)]
     return np.concatenate([*inner, at[-1:]])
 

@@ -1,6 +1,8 @@
-"""What makes a found groove doubtful: no surface on one side, walls that nobody saw, too few points for its size."""
+"""What makes a found groove doubtful: no surface on one side, no edges, unseen walls, too few points for its size."""
 
 from __future__ import annotations
+
+from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +25,9 @@ PROFILE_BINS = np.linspace(0.1, 1.75, 18)
 #: At its edge a groove turns by at least this, and its walls bend back by at most this fraction of it: the hollow
 #: between two round bodies has no edges. The surface beside it is nearly level.
 MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
-#: A side bends on where a wall and a surface that meet at an edge (at these distances from the root, in half widths)
-#: leave more than this fraction of what an arc leaves, over the whole side as over its outer part, and so many times
-#: the medians' own noise.
+#: A side ends at an edge where a wall and a surface that meet there (at these distances from the root, in half widths)
+#: leave less than this fraction of what an arc leaves, over the whole side or over its outer part. Else it bends on,
+#: unless what they leave is within so many times the medians' own noise, which then hides which of both it is.
 EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35), 0.85
 MIN_MISFIT_NOISE = 2.0
 #: A wall is upright whose edge lies within this fraction of the width from the root.
@@ -48,14 +50,27 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
             " the surface on both sides, its outer edge is a guess; scan again with the groove inside the view"
         )
     width = float(np.median(groove.width_mm))
-    on_walls = wall_fraction(groove, np.asarray(points, dtype=float).reshape(-1, 3))
+    cloud = np.asarray(points, dtype=float).reshape(-1, 3)
+    on_walls = wall_fraction(groove, cloud)
     if on_walls < MIN_WALL_FRACTION:
         findings.append(
             f"({width:.3g} mm wide) may be a gap between two things: only {on_walls:.0%} of its points lie on its"
             " walls, so that its edges and its root are guesses; see in the picture that it is a groove, else crop the"
             " cloud to the part"
         )
-    filling = len(groove.members) * spacing_mm**2 / (width * groove.length_mm)
+    else:
+        sides = edges_of_sides(groove, cloud[np.isfinite(cloud).all(axis=1)])
+        why = {
+            Edge.UNTOLD: "the noise hides whether its sides end at edges or bend on",
+            Edge.UNSEEN: "hardly any surface is seen beside it on one side",
+        }
+        why_not = [words for edge, words in why.items() if edge in sides]
+        if why_not and groove.edges_seen >= MIN_BOTH_SIDES:
+            findings.append(
+                f"({width:.3g} mm wide) may be the hollow between two round bodies: {' and '.join(why_not)}; see in the"
+                " picture that it is a groove, else scan from nearer, with its surroundings"
+            )
+    filling = filling_of(groove, spacing_mm)
     if filling < MIN_FILLING:
         findings.append(
             f"holds only {filling:.0%} of the points that its {width:.3g} mm x {groove.length_mm:.3g} mm would show at"
@@ -63,6 +78,11 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
             " part"
         )
     return findings
+
+
+def filling_of(groove: DetectedGroove, spacing_mm: float) -> float:
+    """Points of a groove, over those that its area holds at the cloud's spacing."""
+    return float(len(groove.members) * spacing_mm**2 / (np.median(groove.width_mm) * groove.length_mm))
 
 
 def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
@@ -79,7 +99,7 @@ def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
 
 def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
     """Whether the surface is seen to turn from both walls of a groove into a level surface at an edge."""
-    return all(edges_of_sides(groove, cloud))
+    return edges_of_sides(groove, cloud) == (Edge.ENDS, Edge.ENDS)
 
 
 def bends_on(groove: DetectedGroove, cloud: Floats) -> bool:
@@ -87,11 +107,21 @@ def bends_on(groove: DetectedGroove, cloud: Floats) -> bool:
 
     Walls that nobody saw, as of a gap between two things, say nothing.
     """
-    return wall_fraction(groove, cloud) >= MIN_WALL_FRACTION and False in edges_of_sides(groove, cloud)
+    return wall_fraction(groove, cloud) >= MIN_WALL_FRACTION and Edge.BENDS in edges_of_sides(groove, cloud)
 
 
-def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, bool | None]:
-    """Whether left and right wall turn into a level surface at an edge; None where too little of it is seen.
+class Edge(Enum):
+    """How a groove's wall goes over into the surface beside it: it ends at an edge, it bends on, the noise hides which
+    of both, or too little of it is seen."""
+
+    ENDS = "ends at an edge"
+    BENDS = "bends on"
+    UNTOLD = "hidden by noise"
+    UNSEEN = "not seen"
+
+
+def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
+    """Whether left and right wall turn into a level surface at an edge.
 
     Judged by the median cross-section in the cloud (N, 3); an upright wall, which is hardly seen, counts as one.
     """
@@ -105,19 +135,21 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[bool | None, 
     beside = np.abs((offset * along[station]).sum(axis=1)) < groove.step_mm
     station, offset = station[beside], offset[beside]
     place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
-    found: list[bool | None] = []
+    found: list[Edge] = []
     for edge in (groove.left, groove.right):
         side = ((edge - groove.root) * across).sum(axis=1)
         if np.median(np.abs(side) / groove.width_mm) < UPRIGHT:
-            found.append(True)
+            found.append(Edge.ENDS)
             continue
         half = float(np.median(np.abs(side)))
         profile, noise = _median_profile(place / side[station], height)
         slopes = _slopes_deg(profile, half)
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
         is_edge = turn > MIN_EDGE_DEG and bend < MAX_BEND * turn and abs(slopes[2]) < MAX_BESIDE_DEG
-        is_edge = is_edge and not _bends(profile, noise)
-        found.append(bool(is_edge) if np.isfinite(slopes).all() else None)
+        if not np.isfinite(slopes).all():
+            found.append(Edge.UNSEEN)
+        else:
+            found.append(edge_or_arc(profile, noise) if is_edge else Edge.BENDS)
     return found[0], found[1]
 
 
@@ -153,18 +185,20 @@ def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
     return slopes
 
 
-def _bends(profile: Floats, noise_mm: float) -> bool:
-    """Whether a profile (B, 2) is an arc as well as a wall and a surface that meet at an edge."""
-    edged = []
+def edge_or_arc(profile: Floats, noise_mm: float) -> Edge:
+    """Whether a wall and a surface that meet at an edge explain a profile (B, 2) better than an arc does."""
+    found = []
     for start in SIDE_STARTS:
         place, height = profile[profile[:, 0] > start].T
         if len(place) < 7:
-            return False
+            return Edge.ENDS
         line = np.column_stack([np.ones_like(place), place])
         edge = min(_misfit(np.column_stack([line, np.maximum(place - at, 0)]), height) for at in EDGE_PLACES)
         arc = _misfit(np.column_stack([line, place**2]), height)
-        edged.append(edge < max(ARC_FRACTION * arc, MIN_MISFIT_NOISE * noise_mm))
-    return not any(edged)
+        if edge < ARC_FRACTION * arc:
+            return Edge.ENDS
+        found.append(Edge.UNTOLD if edge < MIN_MISFIT_NOISE * noise_mm else Edge.BENDS)
+    return Edge.UNTOLD if Edge.UNTOLD in found else Edge.BENDS
 
 
 def _misfit(columns: Floats, height: Floats) -> float:

@@ -22,9 +22,12 @@ from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
 from grindvision.vision.seam.groove_diagnostics import (
     MIN_BOTH_SIDES,
+    MIN_FILLING,
     MIN_WALL_FRACTION,
+    Edge,
     bends_on,
     edges_of_sides,
+    filling_of,
     has_edges,
     wall_fraction,
 )
@@ -135,9 +138,10 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
                 break
     hollows = [groove for groove in doubtful if joint != "groove" and bends_on(groove, cloud)]
     doubtful = [groove for groove in doubtful if groove not in hollows and not _is_corner(groove, others, cloud)]
-    groove_seams += [groove_seam(groove) for groove in doubtful]
+    scanty = [groove for groove in doubtful if _is_scanty(groove, cloud, spacing)]
+    groove_seams += [groove_seam(groove) for groove in doubtful if groove not in scanty]
     others = [seam for seam in others if not runs_along(seam.root, groove_seams)]
-    classes = _classes([*groove_seams, *others], wanted)
+    classes = _classes([*groove_seams, *others], [groove_seam(groove) for groove in scanty], wanted)
     if not classes:
         raise NoGrooveError(_nothing(len(cloud), spacing, joint, [*groove_seams, *others], hollows))
     at = np.flatnonzero(valid)
@@ -187,9 +191,13 @@ def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> boo
     """
     walls_seen = wall_fraction(groove, cloud) >= MIN_WALL_FRACTION
     edges = edges_of_sides(groove, cloud)
-    if walls_seen and True not in edges and any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others):
+    if (
+        walls_seen
+        and not {Edge.ENDS, Edge.UNTOLD} & set(edges)
+        and any(seam.kind not in (LAP, BUTT, OUTSIDE) for seam in others)
+    ):
         return True
-    unsure = groove.edges_seen < CORNER_RATHER or (walls_seen and edges != (True, True))
+    unsure = groove.edges_seen < CORNER_RATHER or (walls_seen and edges != (Edge.ENDS, Edge.ENDS))
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     for seam in others:
         away = cKDTree(seam.root).query(groove.root)[0]
@@ -203,12 +211,21 @@ def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> boo
     return False
 
 
-def _classes(seams: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
-    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, then outside corners."""
+def _is_scanty(groove: DetectedGroove, cloud: Floats, spacing: float) -> bool:
+    """Whether hardly more than one side of a groove is seen: any seam whose faces are both seen is surer."""
+    return Edge.UNSEEN in edges_of_sides(groove, cloud) and filling_of(groove, spacing) < MIN_FILLING
+
+
+def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
+    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, then outside corners.
+
+    Grooves of which little is seen (``scanty``) count as the second where there are others of the first.
+    """
     groups: list[list[Seam]] = [[], [], []]
     for seam in seams:
         if seam.kind in wanted:
             groups[2 if seam.kind == OUTSIDE else 1 if seam.kind in (LAP, BUTT) else 0].append(seam)
+    groups[1 if groups[0] else 0] += [seam for seam in scanty if seam.kind in wanted]
     groups[0] = [s for s in groups[0] if s.groove] + sorted(
         (s for s in groups[0] if not s.groove), key=lambda seam: -seam.length_mm
     )
