@@ -105,7 +105,7 @@ def test_tubes_that_lean_in_noise_are_no_groove(seed):
 
 
 def test_an_edge_that_noise_hides_is_no_edge_and_is_said(rng):
-    """The same wall, round or with an edge, in noise that is larger than what tells them apart, and in a tenth of it."""
+    """The same wall, round or with an edge, in noise larger than what tells them apart, and in a tenth of it."""
     place = np.linspace(0.1, 1.7, 16)
     arc, edged = -((1.75 - place) ** 2), -3.0 * np.maximum(1.0 - place, 0.0)
     for height, clear in ((arc, Edge.BENDS), (edged, Edge.ENDS)):

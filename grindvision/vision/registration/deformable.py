@@ -12,10 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
-from grindvision.geometry import move_points, rigid, rotate_vectors, small_motion, twist_between
+from grindvision.geometry import motion_columns, move_points, rigid, rotate_vectors, small_motion, twist_between
 from grindvision.geometry.hash_grid import build_cells
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.rivals import MOTION_STEPS
 from grindvision.vision.surface.signed_distance import CellBlocks, signed_distances
 from grindvision.vision.surface.surfels import Surfels
 
@@ -26,6 +28,13 @@ POWERS = tuple((a, b) for a in range(4) for b in range(4) if 2 <= a + b <= 3)
 
 TUKEY = 4.685
 BLOCKS_ACROSS = 12
+CLEARLY_HELD = 0.9
+"""Along a motion that the normals of both scans resist alike by this fraction, the covariance stays as it is."""
+
+KNOWN_FROM_RIVALS = 1 / MOTION_STEPS
+"""Poses all along a motion that hardly anything resists are judged by what they hide and show, in steps of twice this
+fraction of the extent: the standard deviation along it is no larger."""
+
 AT_REST = 1e-3
 """A step that moves the points by a smaller part of the residuals' spread is the last: the next one would move them by
 a thirtieth of it, less than where single points come and go beside the target's edge."""
@@ -65,10 +74,13 @@ def refine_bent(
         rests = shift < AT_REST * spread
     mistaken = _solved(information, design.T @ (weights[:, None] * hidden))[:6] * _hidden_sizes(solution[6:])
     mistaken = np.column_stack([mistaken, twist_between(start.T_target_source, transform, centre)])
-    covariance = block_covariance(moved, design, residual + design @ solution, weights, information)
+    covariance = block_covariance(moved, design, residual + design @ solution, weights, information)[:6, :6]
+    turned = rotate_vectors(transform, normals[used])
+    of_source = np.column_stack([turned, np.cross(moved - centre, turned)])
+    covariance = _held_by_both(covariance, moved - centre, of_source, design[:, :6], weights)
     return replace(
         start, T_target_source=transform, rms_mm=spread, overlap=float(used.mean()), centre_mm=centre,
-        iterations=start.iterations + done, covariance=covariance[:6, :6],
+        iterations=start.iterations + done, covariance=covariance,
         hidden_covariance=mistaken @ mistaken.T,
         mean_squares_mm2=np.append(start.mean_squares_mm2, spread**2),
     )  # fmt: skip
@@ -114,6 +126,32 @@ def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) ->
         information[range(6, len(solution)), range(6, len(solution))] += (spread / max(prior, 1e-9)) ** 2
         solution = -_solved(information, design.T @ (weights * residual)[:, None])[:, 0]
     return solution, information, weights, spread
+
+
+def _held_by_both(covariance: Floats, arms: Floats, source: Floats, target: Floats, weights: Floats) -> Floats:
+    """The covariance (6, 6) of a pose, larger along the motions that the errors of the normals alone seem to hold.
+
+    Rows (N, 6) are derivatives of the residuals by the motion, taken with the ``source``'s normals and the
+    ``target``'s, at ``arms`` (N, 3) from the centre. The target's information is a sum of squares, and each error of a
+    normal adds to it: a plane slid along itself seems held. The errors of the two scans are independent, so products of
+    one scan's row with the other's hold the part that the surface itself has. Along a motion of which this is a
+    fraction of the whole, a standard deviation is larger by its inverse, up to ``KNOWN_FROM_RIVALS``.
+    """
+    if not np.isfinite(covariance).all():
+        return covariance
+    extent = np.sqrt((arms**2).sum(axis=1).mean())
+    scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
+    source, target = source * scale, target * scale
+    information, shared = target.T @ (target * weights[:, None]), source.T @ (target * weights[:, None])
+    information += 1e-9 * np.trace(information) * np.eye(6)
+    fractions, motions = eigh(0.5 * (shared + shared.T), information)
+    back = motions.T @ information / scale
+    moves = np.sqrt(((motion_columns(arms) @ (scale[:, None] * motions)) ** 2).sum(axis=1).mean(axis=0))
+    sigmas = np.sqrt(np.maximum(np.diag(back @ covariance @ back.T), 1e-300)) * moves
+    most = np.maximum(KNOWN_FROM_RIVALS * extent / sigmas, 1)
+    larger = np.where(fractions < CLEARLY_HELD, np.minimum(1 / np.maximum(fractions, 1e-9), most), 1.0)
+    change = scale[:, None] * (motions * larger) @ back
+    return change @ covariance @ change.T
 
 
 def block_covariance(

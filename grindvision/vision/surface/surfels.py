@@ -53,14 +53,18 @@ class Surfels:
         """Means (M, 3) of the cells' points, mm."""
         return self.grid.points
 
+    @property
+    def excess_mm2(self) -> Floats:
+        """Variances (M,) of the points about a common plane beyond the noise: edges, and surfaces that curve."""
+        return np.maximum(self.roughness_mm**2 - self.noise_mm**2, 0)
+
     @cached_property
     def planes(self) -> Floats:
         """Rows (M, 8) in the order of the grid's cells: mean, normal, number of points, variance of the plane's height.
 
         A surfel is one row, and a cell's rows lie together: one line of the processor's cache each.
         """
-        excess = np.maximum(self.roughness_mm**2 - self.noise_mm**2, 0)
-        variance = self.noise_mm**2 / np.maximum(self.counts, 1) + 0.25 * excess
+        variance = self.noise_mm**2 / np.maximum(self.counts, 1) + 0.25 * self.excess_mm2
         rows = np.empty((len(self), 8))
         rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7] = self.points, self.normals, self.counts, variance
         return rows[self.grid.order]
@@ -72,9 +76,8 @@ class Surfels:
         A plane through a corner runs through neither face. Beside planes that err by the noise alone it must not count.
         """
         usual = float(np.median(self.noise_mm)) if len(self) else 0.0
-        excess = np.maximum(self.roughness_mm**2 - self.noise_mm**2, 0)[self.grid.order]
         rows = self.planes.copy()
-        rows[:, 6] /= 1 + excess / max((USUAL_EXCESS * usual) ** 2, 1e-300) if usual > 0 else 1.0
+        rows[:, 6] /= 1 + self.excess_mm2[self.grid.order] / max((USUAL_EXCESS * usual) ** 2, 1e-300) if usual > 0 else 1.0
         return rows
 
     def __len__(self) -> int:
