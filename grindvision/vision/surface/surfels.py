@@ -77,7 +77,8 @@ class Surfels:
         """
         usual = float(np.median(self.noise_mm)) if len(self) else 0.0
         rows = self.planes.copy()
-        rows[:, 6] /= 1 + self.excess_mm2[self.grid.order] / max((USUAL_EXCESS * usual) ** 2, 1e-300) if usual > 0 else 1.0
+        if usual > 0:
+            rows[:, 6] /= 1 + self.excess_mm2[self.grid.order] / max((USUAL_EXCESS * usual) ** 2, 1e-300)
         return rows
 
     def __len__(self) -> int:
