@@ -89,10 +89,9 @@ def _rotations(ours: Floats, theirs: Floats) -> Iterator[Floats]:
 
 def _frame(first: Floats, second: Floats) -> Floats:
     """Right-handed unit axes in columns (3, 3): the middle of both directions, their normal, and what is left."""
-    middle = first + second
-    across = np.cross(first, second)
-    axes = [middle / np.linalg.norm(middle), across / np.linalg.norm(across)]
-    return np.column_stack([*axes, np.cross(*axes)])
+    middle, across = first + second, np.cross(first, second)
+    ahead, up = middle / np.linalg.norm(middle), across / np.linalg.norm(across)
+    return np.column_stack([ahead, up, np.cross(ahead, up)])
 
 
 def _distinct_rotations(rotations: list[Floats]) -> list[Floats]:
