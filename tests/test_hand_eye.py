@@ -355,12 +355,13 @@ def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refus
     report = json.loads((tmp_path / "Duck" / "report.json").read_text())
     assert report["rms_mm"] < 1.4
     assert report["pairs_disagreement_mm"] < 0.05
-    assert list(report["pairs_refused"]) == ["3 8"]
+    assert report["pairs_refused"] == {}
 
 
 @pytest.mark.full
 def test_a_measured_sphere_and_a_measured_part_agree_within_what_both_say(real_data, tmp_path, capsys):
-    """The sphere's own answer is known to several mm only, and the command says so; the part's to less than 1 mm."""
+    """The sphere's own answer is known to several mm only, the part's to about one: errors of the arm that near poses
+    share count in both, and the command says so."""
     folder = real_data("reghec")
     said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first"]
     found, sigma = {}, {}
@@ -368,15 +369,15 @@ def test_a_measured_sphere_and_a_measured_part_agree_within_what_both_say(real_d
         views = [str(folder / name / f"view{k}d.pcd") for k in range(1, 10)]
         words = [str(folder / name / "RobotPoses.dat"), *views, *said, "--target", target, "-o", str(tmp_path / name)]
         assert main(["hand-eye", *words]) == 0
-        assert ("known poorly" in capsys.readouterr().err) == (name == "Sphere")
+        assert "known poorly" in capsys.readouterr().err
         written = json.loads((tmp_path / name / "hand_eye.json").read_text())
         found[name], sigma[name] = (np.array(written[key]) for key in ("T_flange_camera", "covariance"))
-        assert ("poorly_known" in written) == (name == "Sphere")
+        assert "poorly_known" in written
     sphere, duck = found["Sphere"], found["Duck"]
     turned = Rotation.from_matrix(duck[:3, :3] @ sphere[:3, :3].T).as_rotvec()
     apart = np.concatenate([duck[:3, 3] - sphere[:3, 3], turned])
     assert apart @ np.linalg.solve(sigma["Sphere"] + sigma["Duck"], apart) < 16.8  # chi squared of six, 99 %
-    assert np.sqrt(np.diag(sigma["Duck"])[:3].max()) < 1.0
+    assert np.sqrt(np.diag(sigma["Duck"])[:3].max()) < 0.2 * np.sqrt(np.diag(sigma["Sphere"])[:3].max())
 
 
 @pytest.mark.full

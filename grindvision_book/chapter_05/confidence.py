@@ -113,12 +113,18 @@ def draw(table: pd.DataFrame) -> Figure:
         axes.plot([at, at], [row.low_percent, row.high_percent], color=COLOURS["ours"], linewidth=1.5)
         axes.plot(at, row.right_percent, "o", color=COLOURS["ours"])
         axes.annotate(
-            f"{row.right} of {row.answers}", (at, row.low_percent), (-6, 2), textcoords="offset points", ha="right"
+            f"{row.right} of {row.answers}", (at, row.low_percent), (6, 2), textcoords="offset points", ha="left"
         )
     axes.axvline(90, color=COLOURS["grey"], linewidth=0.6, linestyle=":")
-    axes.text(89.5, 60, "warned of", ha="right", fontsize=9)
-    axes.set(xlim=(48, 102), ylim=(0, 103), xlabel="stated confidence, %", ylabel="answers that are right, %")
-    axes.legend(loc="center left")
+    axes.text(89.5, 12, "warned of", ha="right", fontsize=9)
+    axes.set(
+        xlim=(48, 112),
+        xticks=range(50, 101, 10),
+        ylim=(0, 103),
+        xlabel="stated confidence, %",
+        ylabel="answers that are right, %",
+    )
+    axes.legend(loc="lower left")
     return fig
 
 
