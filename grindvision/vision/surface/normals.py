@@ -34,8 +34,9 @@ MIN_AGREEING = 0.95
 """A scanner's place orients normals as ``seen_along`` does: agreeing less contrary fraction, where each counts by how
 much of it is seen. From a place that is not the scanner's some of the surface is seen from behind."""
 
-SHADED = 0.2
-"""No surface is hidden from its own scanner; at steps, cells of its picture show up to this fraction twice."""
+SHADED = 0.4
+"""No surface is hidden from its own scanner; where a part stands high above its table, cells show up to this fraction
+twice."""
 
 
 def estimate_normals(
