@@ -18,7 +18,7 @@ print(open3d.visualization.draw_plotly.__module__)
 
 
 def test_plotly_comes_when_open3d_draws_with_it_and_not_before():
-    pytest.importorskip("open3d")
+    pytest.importorskip("open3d", reason="needs the extra sim")
     ran = subprocess.run([sys.executable, "-c", _ASKED], capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     assert ran.stdout.split("\n")[:4] == [
