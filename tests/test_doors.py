@@ -548,6 +548,62 @@ def test_an_interrupt_that_a_callback_swallows_comes_again():
     assert caught.value.exit_code == 143
 
 
+#: A command that does nothing but call a compiled kernel, which takes a while and returns named tuples in a tuple.
+IN_A_KERNEL = """
+import sys
+from pathlib import Path
+from typing import NamedTuple
+import numba
+import numpy as np
+from grindvision.cli import main, robots
+class Found(NamedTuple):
+    values: np.ndarray
+    is_found: bool
+@numba.njit
+def search(count):
+    values = np.zeros(3)
+    for at in range(count):
+        values[at % 3] += np.sqrt(at)
+    return Found(values, True), Found(values, False), values > 1.0
+def run(options):
+    search(3)
+    Path(begun).touch()
+    while True:
+        search(300_000_000)
+begun = sys.argv.pop(1)
+robots.run = run
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_inside_a_compiled_kernel_ends_the_run_like_any_other(tmp_path, number):
+    """The exception must not be raised while the kernel's result is made: numba goes on with a null pointer there."""
+    process = command(
+        tmp_path / "begun", "robots", run=("-c", IN_A_KERNEL),
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    )  # fmt: skip
+    wait_for((tmp_path / "begun").exists, process)
+    time.sleep(0.1)
+    os.kill(process.pid, number)
+    said, error = process.communicate(timeout=PATIENCE_S)
+    assert error == b"grindvision robots: interrupted; nothing half-written is left\n"
+    assert process.returncode == 128 + number and said == b""
+
+
+def test_an_error_that_follows_a_signal_is_its_consequence():
+    alarm = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(Interrupted) as caught, ending_signals_interrupt():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Interrupted:
+            raise SystemError("a result with an exception set") from None
+    assert caught.value.exit_code == 143
+    assert signal.getsignal(signal.SIGALRM) == alarm
+    with pytest.raises(SystemError, match="of its own"), ending_signals_interrupt():
+        raise SystemError("of its own")
+
+
 # A study's file
 
 
