@@ -156,11 +156,14 @@ def _darkened(picture: Image.Image) -> Image.Image:
     """A picture (RGBA) whose greys are turned, and whose other colours stay."""
     from PIL import Image
 
-    pixels = np.asarray(picture.convert("RGBA")).astype(np.float32)
-    colours = pixels[..., :3]
-    hue = np.clip((colours.max(axis=-1) - colours.min(axis=-1)) / (2 * _GREY), 0, 1)[..., None]
-    pixels[..., :3] = hue * colours + (1 - hue) * (BRIGHT + (DARK - BRIGHT) * colours / 255)
-    return Image.fromarray(pixels.round().astype(np.uint8), "RGBA")
+    pixels = np.array(picture.convert("RGBA"))
+    colours = [pixels[..., k] for k in range(3)]
+    spread = np.maximum(np.maximum(*colours[:2]), colours[2]) - np.minimum(np.minimum(*colours[:2]), colours[2])
+    hue = np.clip(np.arange(256, dtype=np.float32) / (2 * _GREY), 0, 1)
+    gain, shift = (hue + (1 - hue) * (DARK - BRIGHT) / 255)[spread], ((1 - hue) * BRIGHT)[spread]
+    for colour in colours:
+        colour[:] = np.rint(gain * colour + shift)
+    return Image.fromarray(pixels, "RGBA")
 
 
 def _dark_layer(match: re.Match[str]) -> str:
