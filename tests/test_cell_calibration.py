@@ -7,11 +7,11 @@ import pytest
 
 from grindvision import cell, paper
 from grindvision.arm import joint_transforms
-from grindvision.cell import ScannerErrors
+from grindvision.cell import ScannerErrors, spheres
 from grindvision.cell.arms import JOINT_LIMITS_RAD
 from grindvision.cell.joint_errors import GRAVITY
 from grindvision.cell.spheres import nest_directions
-from grindvision.errors import InputError, SightError
+from grindvision.errors import DegenerateError, InputError, SightError
 from grindvision.geometry import inverse, move_points, vector_angle
 
 Q = np.radians([-51.06, -75.62, 18.29, -5.30])
@@ -160,3 +160,22 @@ def test_gear_waves_repeat_with_every_turn_and_the_papers_twin_has_none(rng, rob
     assert robot.joint_errors is None
     with pytest.raises(InputError, match="masses_kg"):
         replace(errors, masses_kg=np.ones(3))
+
+
+@pytest.mark.parametrize("seen", [49, 50])
+def test_a_sphere_needs_fifty_points(robot, monkeypatch, seen):
+    class Seen(list):
+        T_world_scanner = np.eye(4)
+        points = property(np.array)
+
+    turn = np.arange(seen) * 2.4  # spread over the half of the sphere that the scanner sees
+    down = (np.arange(seen) + 0.5) / seen
+    cap = np.column_stack([np.sqrt(1 - down**2) * np.cos(turn), np.sqrt(1 - down**2) * np.sin(turn), -down])
+    scan = Seen(np.array([5.0, -3.0, 400.0]) + spheres.SPHERE_RADIUS_MM * cap)
+    monkeypatch.setattr(spheres, "scan_sphere", lambda *_: scan)
+    if seen < 50:
+        with pytest.raises(DegenerateError, match="only 49 points of the sphere were seen"):
+            cell.measure_sphere(robot, Q, np.zeros(3), np.random.default_rng(0))
+    else:
+        found = cell.measure_sphere(robot, Q, np.zeros(3), np.random.default_rng(0))
+        np.testing.assert_allclose(found.centre_mm, [5, -3, 400], atol=1e-6)

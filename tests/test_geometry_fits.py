@@ -199,6 +199,7 @@ REFUSED = {
     "rigid, line": (lambda: geometry.fit_rigid(LINE, LINE), DegenerateError, "one line"),
     "rigid, unpaired": (lambda: geometry.fit_rigid(CIRCLE, CIRCLE[:5]), InputError, "in pairs"),
     "rigid, weights": (lambda: geometry.fit_rigid(CIRCLE, CIRCLE, -np.ones(9)), InputError, "non-negative"),
+    "rigid, a weight": (lambda: geometry.fit_rigid(CIRCLE, CIRCLE, [np.nan] + 8 * [1.0]), InputError, "non-negative"),
     "plane, line": (lambda: geometry.fit_plane(LINE + 1000), DegenerateError, "one line"),
     "plane, NaN": (lambda: geometry.fit_plane([[0, 0, np.nan], *LINE]), InputError, "1 of 6 points hold NaN"),
     "plane, flat array": (lambda: geometry.fit_plane([1.0, 2.0, 3.0]), InputError, r"expected \(N, 3\)"),

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from grindvision.errors import InputError
+from grindvision.geometry.height_map import HeightMap
 from grindvision.motion.grinding import plan_grinding, preston_depth, simulate_passes
 from grindvision.motion.grinding_contact import envelope_of, lifts_over, nodes_of, tool_shape
+from grindvision.motion.grinding_lines import _signed_distance
 from grindvision.motion.grinding_options import PATTERNS, GrindingOptions
 from grindvision.motion.grinding_path import CUT, driven, tool_path
 from grindvision.motion.removal import learn_removal
@@ -236,3 +238,34 @@ def test_a_patch_of_100_mm_is_covered_within_two_seconds():
     plan = plan_grinding(work, options)
     assert time.process_time() - started < 2.0
     assert plan.remaining_mm[work.inside].max() < 0.03 and not plan.unreached.any()
+
+
+def bare_map(rows: int, columns: int, spacing_mm: float) -> HeightMap:
+    """A flat map without stock."""
+    flat = np.zeros((rows, columns))
+    return HeightMap(np.eye(4), spacing_mm, flat, np.tile([0.0, 0.0, 1.0], (rows, columns, 1)), flat)
+
+
+@pytest.mark.parametrize("points", [2, 3, 4, 5, 9])
+@pytest.mark.parametrize("angle_deg", [0.0, 35.0, 200.0])
+def test_the_distance_from_a_straight_centreline_is_that_from_its_whole_line(points, angle_deg):
+    """Also beyond its ends, and however few points it has; to the left it is above zero."""
+    heights = bare_map(40, 30, 0.5)
+    along = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    middle = np.array([10.0, 7.0])
+    found = _signed_distance(heights, middle + np.linspace(-2, 2, points)[:, None] * along)
+    x, y = np.meshgrid(heights.x_mm, heights.y_mm, indexing="ij")
+    wanted = along[0] * (y - middle[1]) - along[1] * (x - middle[0])
+    np.testing.assert_allclose(found, wanted, atol=0.07)  # the line stands as points 0.125 mm apart
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_centreline_goes_straight_on_along_its_last_four_points(backwards):
+    """Not along its last two, which a noisy place turns."""
+    centreline = np.array([[8.0, 7], [9, 7.4], [10, 7.4], [11, 7], [12, 7.3], [13, 7], [14, 7.4], [15, 7.4], [16, 7]])
+    heights = bare_map(49, 30, 0.5)
+    found = _signed_distance(heights, centreline[::-1] if backwards else centreline)
+    x, y = np.meshgrid(heights.x_mm, heights.y_mm, indexing="ij")
+    beyond = (x < 7) | (x > 17)
+    wanted = (y - 7.0) * (-1 if backwards else 1)
+    np.testing.assert_allclose(found[beyond & (abs(y - 7) < 4)], wanted[beyond & (abs(y - 7) < 4)], atol=0.07)
