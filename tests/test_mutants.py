@@ -119,7 +119,9 @@ def test_only_a_fault_in_a_kernel_or_beside_all_functions_is_in_what_is_compiled
     assert found == {"1 + 2": True, "x + 1": False, "3 + 4": True, "5 + s": False}
     kernel = text.index("x + 1") + 2
     assert in_a_kernel(text, Mutant("m.py", kernel, kernel + 1, 7, "+", "-"))
-    begin, end = statement_at(text, kernel)
+    span = statement_at(text, kernel)
+    assert span is not None
+    begin, end = span
     assert text[begin:end].startswith("@njit") and text[begin:end].endswith("x + 1\n")
 
 
