@@ -25,6 +25,7 @@ from grindvision.cell.workpieces import WORKPIECES
 from grindvision.errors import GrindvisionError
 from grindvision.models import Model
 from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ def _fault(scene: WorkpieceScene, pose_mm: float, paths: list[Floats]) -> str:
     if pose_mm > MAX_POSE_MM:
         return f"pose {pose_mm:.2f} mm off"
     if scene.change != "bead":
-        return f"{len(paths)} false bead(s)" if paths else ""
+        return f"{counted(len(paths), 'false bead')}" if paths else ""
     for path in paths:
         away = np.linalg.norm(path[:, None] - scene.ridge_mm[None], axis=2).min(axis=1)
         if away.max() > MAX_PATH_MM:

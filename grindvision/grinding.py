@@ -22,6 +22,7 @@ from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.scan_registration import StageClock
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -78,7 +79,8 @@ class Grinding:
         planned = [plan for plan in self.plans if plan is not None]
         passes = sum(len(plan.passes) for plan in planned)
         seconds = sum(plan.seconds for plan in planned)
-        return f"{self.stock}; {passes} pass(es) on {len(planned)} piece(s), {seconds:.0f} s in contact"
+        work = f"{counted(passes, 'pass', 'passes')} on {counted(len(planned), 'piece')}"
+        return f"{self.stock}; {work}, {seconds:.0f} s in contact"
 
 
 @one_blas_thread()
@@ -140,7 +142,7 @@ def grind(
     said = [f"piece {number} is not ground: {why}" for number, why in refusals.items()]
     if stock.pits:
         said.append(
-            f"material is missing in {len(stock.pits)} place(s), the largest {stock.pits[0]},"
+            f"material is missing in {counted(len(stock.pits), 'place')}, the largest {stock.pits[0]},"
             f" {stock.pit_depths_mm[0]:.2f} mm deep; it is reported and not ground"
         )
     for sentence in (*against_grinding(compared), *said):
@@ -212,8 +214,8 @@ def _no_stock(stock: Stock) -> str:
     if stock.pits:
         return (
             f"nothing stands out of the good part above {stock.level_mm:.2g} mm, but material is missing in"
-            f" {len(stock.pits)} place(s), the largest {stock.pits[0]}, {stock.pit_depths_mm[0]:.2f} mm deep: a pit is"
-            " never ground; were SAMPLE and TEST swapped?"
+            f" {counted(len(stock.pits), 'place')}, the largest {stock.pits[0]}, {stock.pit_depths_mm[0]:.2f} mm deep:"
+            " a pit is never ground; were SAMPLE and TEST swapped?"
         )
     return (
         f"nothing stands out of the good part above the level of detection of {stock.level_mm:.2g} mm: nothing to grind"

@@ -28,6 +28,7 @@ from grindvision.vision.change.comparison import Comparison, compare
 from grindvision.vision.change.remaining import Remaining, judge_remaining
 from grindvision.vision.change.stock import StockPiece, measure_again
 from grindvision.vision.registration.scan_registration import StageClock
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -72,7 +73,9 @@ class GroundAgain:
     def __str__(self) -> str:
         met = sum(one.met for one in self.judged)
         told = next((f"; {one}" for one in self.learnt if one is not None), "")
-        return f"{'met' if self.met else 'not met'}: {met} of {len(self.judged)} piece(s); {self.judged[0]}{told}"
+        return (
+            f"{'met' if self.met else 'not met'}: {met} of {counted(len(self.judged), 'piece')}; {self.judged[0]}{told}"
+        )
 
 
 @one_blas_thread()

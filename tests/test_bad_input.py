@@ -267,7 +267,7 @@ def test_parameters_of_any_kind(good, obeys, tmp_path, content):
         ("waypoints = '9'", "waypoints is '9'; write a whole number"),
         ("waypoints = 9.5", "write a whole number"),
         ("unit = 'inch'", "choose from mm, cm, m, in"),
-        ("viewpoint = [1, 2]", "give 3 value(s)"),
+        ("viewpoint = [1, 2]", "give 3 values"),
         ("viewpoint = [1, 2, inf]", "write a number"),
         ("output = 'x'", "'output' is no parameter"),
         ("waypoints = ", "not a readable TOML file"),

@@ -200,7 +200,7 @@ def test_a_largest_piece_too_small_to_follow_leaves_pose_and_difference():
             (said,) = (str(warning.message) for warning in caught)
             assert said.startswith("piece 1 of the difference is left out: ") and said.endswith("scan it denser")
             assert "nothing to grind" not in str(found)
-            assert str(found).startswith("no path: 1 piece(s) stand out")
+            assert str(found).startswith("no path: 1 piece stands out")
     assert 0 in paths
 
 

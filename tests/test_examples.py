@@ -16,8 +16,8 @@ README = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
 SAYS = {
     "read_a_cloud": "4,131 points over 160.0 x 100.0 x 0.0 mm",
     "register_two_scans": "farthest point from where it belongs: 0.",
-    "find_what_to_grind": "1 bead(s), 8 path points",
-    "grind_a_bead": "1 piece(s) of stock",
+    "find_what_to_grind": "1 bead, 8 path points",
+    "grind_a_bead": "1 piece of stock",
     "find_grooves": "groove of ",
     "weld_a_fillet": "t-joint, faces 90.0",
     "torch_trajectory": "torch.csv: 12 poses",

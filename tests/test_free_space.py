@@ -68,7 +68,7 @@ def test_a_fin_is_found_and_its_path_lies_on_it(height_mm, lean_deg):
 
 def test_a_bead_too_short_for_a_path_is_said_and_is_not_nothing_to_grind():
     one = pair(seed=3, n_points=30_000, beads=[arc_bead(length_mm=5.0)])
-    with pytest.warns(match="1 place.s. stand out that are too small for a path .*, the largest .* mm high"):
+    with pytest.warns(match="1 place stands out without a path, too small for one .*, the largest .* mm high"):
         found = detect(one.sample, one.test)
     assert not found.beads and len(found.difference.specks) == 1
     assert "nothing to grind" not in str(found)

@@ -10,6 +10,7 @@ from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.words import counted
 
 EPILOG = """\
 Scan one flat plate that fills the view; move it (or the scanner) along its normal by known steps, scan again. The steps
@@ -102,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
                 text = "plates that took no part are no flatter with the correction than without; do not use it"
                 warnings.warn(text, GrindvisionWarning, stacklevel=1)
         else:
-            text = f"{len(plates)} plate(s): nothing is left to test the correction on; scan at least three"
+            text = f"{counted(len(plates), 'plate')}: nothing is left to test the correction on; scan at least three"
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
             write_field(field, work.place / "field.npz")

@@ -12,6 +12,7 @@ from grindvision.cli.pictures import save_png
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
 from grindvision.geometry import inverse, move_points
+from grindvision.words import counted
 
 with extra("plot"):
     from matplotlib.axes import Axes
@@ -54,13 +55,13 @@ def _verdict(found: Detection) -> tuple[str, str]:
     )
     standing = len(found.difference.clusters) or len(found.difference.specks)
     if not found.beads and standing:
-        return f"No path: {standing} piece(s) stand out, none to be followed", facts
+        return f"No path: {counted(standing, 'piece stands', 'pieces stand')} out, none to be followed", facts
     if not found.beads:
         level, cell = found.difference.level_of_detection_mm, found.test.surfels.grid.size_mm
         return f"Nothing to grind: no difference above {level:.2f} mm, compared in cells of {cell:.2g} mm", facts
     bead = found.beads[0]
     size = f"{bead.length_mm:.1f} x {bead.width_mm:.1f} mm, {bead.height_mm:.2f} mm high"
-    beads = "1 bead" if len(found.beads) == 1 else f"{len(found.beads)} beads"
+    beads = counted(len(found.beads), "bead")
     largest = "it measures" if len(found.beads) == 1 else "the largest measures"
     return f"Found {beads} to grind, {len(found.path_points)} path points; {largest} {size}", facts
 

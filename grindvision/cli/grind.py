@@ -25,6 +25,7 @@ from grindvision.cli.scans import (
     where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.words import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -161,7 +162,7 @@ def run(options: argparse.Namespace) -> int:
         options.output = options.output or str(Path(options.again) / "again")
         return run_again(options, serials)
     if len(options.clouds) != 2:
-        raise InputError(f"give SAMPLE and TEST; {len(options.clouds)} cloud(s) were given")
+        raise InputError(f"give SAMPLE and TEST; not {counted(len(options.clouds), 'cloud')}")
     for name in ("sample", "tolerance_mm"):
         if getattr(options, name) is not None:
             raise InputError(f"--{name.replace('_', '-')} is for a scan after the passes; give --again DIR as well")

@@ -13,6 +13,7 @@ from typing import Any
 from grindvision import __version__
 from grindvision.errors import InputError
 from grindvision.files import read_toml
+from grindvision.words import counted
 
 #: Options that say where results go, not what they are.
 NO_PARAMETERS = ("help", "output", "parameters", "json")
@@ -100,7 +101,7 @@ def _words(path: Path, name: str, value: Any, action: argparse.Action) -> list[s
     else:
         fits = len(values) == action.nargs
     if not fits:
-        raise InputError(f"{path}: {name} is {_shown(value)}; give {action.nargs or 1} value(s)")
+        raise InputError(f"{path}: {name} is {_shown(value)}; give {counted(int(action.nargs or 1), 'value')}")
     kind: tuple[type, ...] = (str,)
     wanted = "a text in quotes"
     if action.type is number:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from grindvision.errors import FileError
 from grindvision.formats.content import Content, chosen_columns
 from grindvision.input_files import bytes_left, check_memory, read_rest
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -101,7 +102,9 @@ def numbers(path: Path, lines: Sequence[str], separator: str | None = None) -> F
     except ValueError as error:
         raise FileError(f"{path}: {_reason(error)}; mend the line or export the cloud again") from None
     if len(table) != len(lines):
-        raise FileError(f"{path}: {len(lines) - len(table)} row(s) hold no numbers; export the cloud again")
+        raise FileError(
+            f"{path}: {counted(len(lines) - len(table), 'row holds', 'rows hold')} no numbers; export the cloud again"
+        )
     return table
 
 

@@ -20,6 +20,7 @@ from grindvision.motion.grinding_contact import Nodes, ToolShape, envelope_of, l
 from grindvision.motion.grinding_lines import grinding_lines, resampled
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.records import by_content
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -97,8 +98,8 @@ class GrindingPass:
 
     def __str__(self) -> str:
         return (
-            f"pass {self.number}: {len(self.strokes)} line(s), down to {self.floor_mm:.3f} mm, {self.removed_mm3:.3g}"
-            f" mm3 at {self.feed_mm_s:.3g} mm/s and {self.force_n:.3g} N"
+            f"pass {self.number}: {counted(len(self.strokes), 'line')}, down to {self.floor_mm:.3f} mm,"
+            f" {self.removed_mm3:.3g} mm3 at {self.feed_mm_s:.3g} mm/s and {self.force_n:.3g} N"
         )
 
 
@@ -131,8 +132,8 @@ class GrindingPlan:
     def __str__(self) -> str:
         left = np.nan_to_num(self.remaining_mm)[self.work.inside]
         return (
-            f"{len(self.passes)} pass(es) of {self.options.depth_mm:g} mm, {self.seconds:.0f} s in contact, at most"
-            f" {left.max(initial=0.0):.2f} mm planned to stay"
+            f"{counted(len(self.passes), 'pass', 'passes')} of {self.options.depth_mm:g} mm, {self.seconds:.0f} s in"
+            f" contact, at most {left.max(initial=0.0):.2f} mm planned to stay"
         )
 
 

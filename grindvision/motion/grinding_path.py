@@ -14,6 +14,7 @@ from grindvision.geometry.transforms import check_rigid, rotation_about
 from grindvision.motion.grinding import GrindingPass, GrindingPlan, Stroke
 from grindvision.motion.trajectory import Trajectory
 from grindvision.records import by_content
+from grindvision.words import counted
 
 if TYPE_CHECKING:
     from grindvision.motion.plan import Motion
@@ -93,7 +94,8 @@ class ToolPath:
 
     def __str__(self) -> str:
         length = np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum()
-        return f"{len(self)} places in {len(np.unique(self.passes))} pass(es), {length:.0f} mm to drive"
+        passes = counted(len(np.unique(self.passes)), "pass", "passes")
+        return f"{len(self)} places in {passes}, {length:.0f} mm to drive"
 
 
 def tool_path(plan: GrindingPlan) -> ToolPath:

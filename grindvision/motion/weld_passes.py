@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import InputError
 from grindvision.motion.trajectory import ToolTrajectoryOptions, tool_trajectory
 from grindvision.records import by_content
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +104,8 @@ class WeldFill:
     layer_tops_mm: tuple[float, ...]
 
     def __str__(self) -> str:
-        return f"{len(self.passes)} pass(es) in {len(self.layer_tops_mm)} layer(s) for a {self.section}"
+        passes, layers = counted(len(self.passes), "pass", "passes"), counted(len(self.layer_tops_mm), "layer")
+        return f"{passes} in {layers} for a {self.section}"
 
 
 def fill_groove(section: GrooveSection, bead_mm2: float) -> WeldFill:

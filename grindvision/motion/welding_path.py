@@ -14,6 +14,7 @@ from grindvision.geometry import check_points
 from grindvision.motion.trajectory import Trajectory
 from grindvision.motion.weave import Weave
 from grindvision.records import by_content
+from grindvision.words import counted
 
 if TYPE_CHECKING:
     from grindvision.motion.plan import Motion, PlanMotionOptions
@@ -107,7 +108,7 @@ class WeldPath:
 
     def __str__(self) -> str:
         weave = "" if self.weave is None else f", {self.weave}"
-        return f"{self.count} weld(s), {sum(self.lengths_mm):.1f} mm along the seam{weave}, {len(self)} places"
+        return f"{counted(self.count, 'weld')}, {sum(self.lengths_mm):.1f} mm along the seam{weave}, {len(self)} places"
 
 
 def weld_path(seam: Trajectory, options: WeldPathOptions | None = None) -> WeldPath:
@@ -248,7 +249,9 @@ def welding_programme(motion: Motion, path: WeldPath, options: RobotProgrammeOpt
     moves = plain.moves
     _check_held(path, motion, np.array([move.speed_mm_s for move in moves[: len(path)]]))
     head = [step for step in plain.steps[:3] if not isinstance(step, LinearMove)]  # two comments, the joint move
-    steps: list[Step] = [Comment(f"{path.count} weld(s), {sum(path.lengths_mm):.1f} mm at {path.speed_mm_s:g} mm/s")]
+    steps: list[Step] = [
+        Comment(f"{counted(path.count, 'weld')}, {sum(path.lengths_mm):.1f} mm at {path.speed_mm_s:g} mm/s")
+    ]
     steps += head[1:]
     for at, move in enumerate(moves[: len(path)]):
         weld = int(path.welds[at])

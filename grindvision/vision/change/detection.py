@@ -26,6 +26,7 @@ from grindvision.vision.registration.scan_registration import Registration, Stag
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface
 from grindvision.vision.surface.scan import Scan
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -100,13 +101,16 @@ class Detection:
     def __str__(self) -> str:
         pieces = len(self.difference.clusters)
         if pieces and not self.beads:
-            return f"no path: {pieces} piece(s) stand out, none to be followed; {self.registration}; {self.coverage}"
+            standing = counted(pieces, "piece stands", "pieces stand")
+            return f"no path: {standing} out, none to be followed; {self.registration}; {self.coverage}"
         if self.difference.specks and not pieces:
-            return f"no path: {len(self.difference.specks)} place(s) stand out, none to be followed; {self.coverage}"
+            standing = counted(len(self.difference.specks), "place stands", "places stand")
+            return f"no path: {standing} out, none to be followed; {self.coverage}"
         if not pieces:
             level = f"the level of detection of {self.difference.level_of_detection_mm:.2f} mm"
             return f"nothing to grind above {level}; {self.coverage}"
-        return f"{len(self.beads)} bead(s), {len(self.path_points)} path points; {self.registration}; {self.coverage}"
+        beads = counted(len(self.beads), "bead")
+        return f"{beads}, {len(self.path_points)} path points; {self.registration}; {self.coverage}"
 
 
 @one_blas_thread()
@@ -180,8 +184,8 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
         places = coverage.test_missed
         said.append(
             f"{1 - coverage.test_fraction:.0%} of the test scan ({coverage.test_missed_mm2:.3g} mm2) was not compared,"
-            f" in {len(places)} larger place(s), the largest {places[0]}: the sample shows nothing there, and what"
-            " stands out there was not seen"
+            f" in {counted(len(places), 'larger place')}, the largest {places[0]}: the sample shows nothing there, and"
+            " what stands out there was not seen"
         )
     if not difference.clusters and (coarse := _coarser(found, difference)):
         said.append(coarse)
@@ -189,9 +193,9 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
         said.append(noisy)
     if difference.specks:
         said.append(
-            f"{len(difference.specks)} place(s) stand out that are too small for a path or touch nothing of the part,"
-            f" the largest {difference.specks[0]}: spatter, stray points, or a bead of which the scan shows little;"
-            " scan it more finely"
+            f"{counted(len(difference.specks), 'place stands', 'places stand')} out without a path, too small for one"
+            f" or touching nothing of the part, the largest {difference.specks[0]}: spatter, stray points, or a bead of"
+            " which the scan shows little; scan it more finely"
         )
     return tuple(said)
 

@@ -15,6 +15,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, diagnose_table
 from grindvision.vision.registration.relative_scale import relative_scale
 from grindvision.vision.surface.scan import Scan
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
@@ -88,6 +89,6 @@ def _missing_material(source: Scan, target: Scan, registration: FineRegistration
     if not pieces:
         return ""
     return (
-        f"nothing stands out of the good part, but in {len(pieces)} place(s) material is missing (the largest:"
+        f"nothing stands out of the good part, but in {counted(len(pieces), 'place')} material is missing (the largest:"
         f" {pieces[0].area_mm2:.3g} mm2, {pieces[0].peak_mm:.2f} mm deep)"
     )

@@ -30,6 +30,7 @@ from grindvision.vision.change.stock_sums import FLAT, bridged_heights, piece_su
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan, surface_in_frame
 from grindvision.vision.surface.surfels import Surfels
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -165,12 +166,13 @@ class Stock:
         return float(np.sqrt(sum(piece.volume_sigma_mm3**2 for piece in self.pieces)))
 
     def __str__(self) -> str:
-        pits = f"; material is missing in {len(self.pits)} place(s), the largest {self.pits[0]}" if self.pits else ""
+        places = counted(len(self.pits), "place")
+        pits = f"; material is missing in {places}, the largest {self.pits[0]}" if self.pits else ""
         if not self.pieces:
             return f"no stock above {self.level_mm:.2g} mm{pits}"
         return (
-            f"{len(self.pieces)} piece(s) of stock, {self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3 above"
-            f" {self.level_mm:.2g} mm{pits}"
+            f"{counted(len(self.pieces), 'piece')} of stock, {self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3"
+            f" above {self.level_mm:.2g} mm{pits}"
         )
 
 

@@ -31,6 +31,7 @@ from grindvision.vision.registration.verification import VerifiedPose, choose_po
 from grindvision.vision.surface.scan import Scan, choose_resolution, prepare_pair, reversed_scan
 from grindvision.vision.surface.stray_points import stray_points
 from grindvision.vision.surface.surfels import build_surfels
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Viewpoints = tuple[ArrayLike | None, ArrayLike | None]
@@ -280,8 +281,8 @@ def without_strays(points: Floats, name: str) -> Floats:
     away = np.linalg.norm(points[stray] - middle, axis=1)
     x, y, z = points[stray][np.argmax(away)]
     warnings.warn(
-        f"{name}: {stray.sum()} point(s) lie alone, the farthest at ({x:.4g}, {y:.4g}, {z:.4g}) mm, {away.max():.4g} mm"
-        " from the middle of the rest, and were left out",
+        f"{name}: {counted(int(stray.sum()), 'point lies', 'points lie')} alone, the farthest at"
+        f" ({x:.4g}, {y:.4g}, {z:.4g}) mm, {away.max():.4g} mm from the middle of the rest, and were left out",
         GrindvisionWarning,
         stacklevel=2,
     )

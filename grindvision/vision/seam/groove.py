@@ -25,6 +25,7 @@ from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.height_field import spacing_of
 from grindvision.vision.seam.valley import find_valleys
 from grindvision.vision.seam.viewing_frames import field_frames
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -81,7 +82,7 @@ class GrooveDetection:
         return self.groove_id >= 0
 
     def __str__(self) -> str:
-        return f"{len(self.grooves)} groove(s): " + "; ".join(str(groove) for groove in self.grooves)
+        return f"{counted(len(self.grooves), 'groove')}: " + "; ".join(str(groove) for groove in self.grooves)
 
 
 @settings_in(FindGroovesOptions, 1, ("viewpoint_mm", "width_mm", "spacing_mm", "bevel"))
