@@ -86,6 +86,20 @@ def test_a_view_whose_pose_is_wrong_is_named(tmp_path, capsys):
     assert "v1.ply" in told.out.split("worst pair")[1].split("within")[0]
 
 
+def test_the_report_repeats_what_was_said_of_the_camera_before_the_run(tmp_path, capsys):
+    words = folder_of(tmp_path)
+    camera = json.loads((tmp_path / "camera.json").read_text())
+    (tmp_path / "camera.json").write_text(json.dumps(camera | {"poorly_known": "the camera is known poorly"}))
+    for name in ("first", "second"):
+        assert main(["merge", *words, "-o", str(tmp_path / name)]) == 0
+        assert capsys.readouterr().err.count("known poorly") == 1
+        said = json.loads((tmp_path / name / "report.json").read_text())["warnings"]
+        assert sum("known poorly" in one for one in said) == 1
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    assert main(["merge", *words, "-o", str(tmp_path / "third")]) == 0
+    assert json.loads((tmp_path / "third" / "report.json").read_text())["warnings"] == []
+
+
 def test_what_cannot_be_merged_is_refused_in_one_line(tmp_path, capsys):
     words = folder_of(tmp_path)
     (tmp_path / "other.json").write_text('{"T_joint_scanner": 1}')

@@ -15,8 +15,8 @@ from typing import NoReturn
 from grindvision import __version__
 from grindvision.cli import pictures
 from grindvision.cli.parameters import with_parameter_file
-from grindvision.cli.streams import complain, sound_streams
-from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped
+from grindvision.cli.streams import complain, shown_warnings, sound_streams
+from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped, one_line
 from grindvision.interrupts import ending_signals_interrupt
 
 COMMANDS = {
@@ -80,6 +80,7 @@ def _told(name: str, words: list[str]) -> int:
         with ending_signals_interrupt(), warnings.catch_warnings():
             warnings.simplefilter("always", GrindvisionWarning)
             warnings.showwarning = _one_line
+            shown_warnings.clear()
             return _run(name, words)
     except GrindvisionError as error:
         return _failure(name, str(error), 2)
@@ -134,4 +135,5 @@ class _Parser(argparse.ArgumentParser):
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     if issubclass(category, GrindvisionWarning):
+        shown_warnings.append(one_line(str(message)))
         complain(f"warning: {message}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,7 +62,7 @@ def _draw_residuals(axes: Axes, unseen: HeldOut) -> None:
         axes.plot(unseen.rows + 1, unseen.after_mm[:, axis], marker, color=colour, ms=3, label="xyz"[axis])
     axes.axhline(0, color="black", lw=0.5)
     axes.set(xlabel="row of the measurement file", ylabel="residual after, tracker frame, mm")
-    axes.legend(frameon=False, ncols=3)
+    axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1))
 
 
 def _draw_reach(axes: Axes, predicted: PredictedErrors, which: tuple[int | None, int]) -> None:
@@ -87,9 +88,10 @@ def _draw_values(axes: Axes, result: Calibration) -> None:
     numbers = np.arange(1, len(singular) + 1)
     axes.semilogy(numbers[:rank], singular[:rank], "o", color=AFTER, label="known")
     floor = singular[rank - 1] / 100
-    axes.semilogy(numbers[rank:], np.maximum(singular[rank:], floor), "x", color="#D55E00", label="not known")
+    label = "not known" if (singular[rank:] >= floor).all() else "zero (at the foot): not known"
+    axes.semilogy(numbers[rank:], np.maximum(singular[rank:], floor), "x", color="#D55E00", label=label)
     axes.set(xlabel="combination of unknowns", ylabel="singular value, 1/mm", title=f"rank {rank} of {len(singular)}")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0, 0.1))
 
 
 def _draw_words(axes: Axes, result: Calibration) -> None:
@@ -100,4 +102,5 @@ def _draw_words(axes: Axes, result: Calibration) -> None:
         lines += [str(result.beyond).replace(": ", ":\n  "), ""]
     lines += ["Cannot be told apart:"] * bool(result.identifiability.sentences)
     lines += [f"  {sentence}" for sentence in result.identifiability.sentences]
-    axes.text(0, 1, "\n".join(line[:70] for line in lines), va="top", fontsize=8.5, transform=axes.transAxes)
+    text = "\n".join(textwrap.fill(line, 58, subsequent_indent="    ") for line in "\n".join(lines).split("\n"))
+    axes.text(0, 1, text, va="top", fontsize=8.5, transform=axes.transAxes, parse_math=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grindvision.cli.pictures import save_png
+from grindvision.cli.relief import draw_relief, name_colour
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from grindvision.vision.seam.weld import Weld
 
 GROOVE, PATH, GREY, WELD, TACK = "#0072B2", "#D55E00", "#bbbbbb", "#000000", "#E69F00"
-MAX_DOTS = 40_000
 LABEL = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
@@ -30,7 +30,6 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     """Draw the verdict, the cloud (N, 3) seen against the path's mean normal, the path's course and a cut."""
     points, labels = points.reshape(-1, 3), weld.labels.ravel()
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    kept = finite[:: max(len(finite) // MAX_DOTS, 1)]
     up = weld.path.normals.mean(axis=0)
     up = up / np.linalg.norm(up)
     middle = weld.path.points.mean(axis=0)
@@ -44,10 +43,11 @@ def draw(weld: Weld, points: np.ndarray, warnings: Sequence[str], path: Path, we
     else:
         panels = figure.subplot_mosaic([["view"] * 3, ["course", "torch", "cut"]], height_ratios=(3, 1))
     view, course = panels["view"], panels["course"]
-    for chosen, colour, name in ((~labels[kept], GREY, "cloud"), (labels[kept], GROOVE, "seam")):
-        seen = (points[kept][chosen] - middle) @ axes_across
-        view.plot(*seen.T, ".", ms=1, color=colour)
-        view.plot([], [], "o", color=colour, label=name)
+    size_mm = 0.0
+    for chosen, colour, name in ((finite, GREY, "cloud"), (finite[labels[finite]], GROOVE, "seam")):
+        seen = points[chosen] - middle
+        size_mm = draw_relief(view, seen @ axes_across, seen @ up, colour, size_mm=size_mm)
+        name_colour(view, colour, name)
     for number, seam in enumerate(weld.paths, start=1):
         way = (seam.points - middle) @ axes_across
         view.plot(*way.T, ".-", ms=4, lw=1, color=PATH, label=f"path {number}" if len(weld.paths) > 1 else "path")
@@ -140,5 +140,9 @@ def _verdict(weld: Weld) -> tuple[str, str]:
         return "Found a groove, by the paper's method", f"{weld}. Frame: the cloud's."
     first, count = weld.seams[0], len(weld.seams)
     found = f"Found 1 {first.kind}" if count == 1 else f"Found {count} seams; the first: {first.kind}"
-    facts = f"{weld.path}. {first.evidence}. Frame: the cloud's."
+    facts = f"{_sentence(str(weld.path))}. {_sentence(first.evidence)}. Frame: the cloud's."
     return f"{found}, {first.length_mm:.0f} mm long, {first.size}", facts
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

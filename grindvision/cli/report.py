@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision import __version__
 from grindvision.cli.parameters import NO_PARAMETERS, parameters_text
 from grindvision.cli.progress import Progress
-from grindvision.cli.streams import complain, say
+from grindvision.cli.streams import complain, say, shown_warnings
 from grindvision.errors import FileError, GrindvisionWarning, one_line
 from grindvision.files import plain, sha256, write_text
 from grindvision.result_set import write_set
@@ -55,7 +55,8 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 class Run:
     """One run of a tool, a context: on success its files stand in the output folder, on failure nothing does.
 
-    ``place`` is where to write files meanwhile. Warnings are collected, and shown when all went well.
+    ``place`` is where to write files meanwhile. Warnings are collected, and shown when all went well; its reports also
+    hold those that the command has shown before, of its poses or of a calibration.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Run:
         self._stack = ExitStack()
         self._times_s: dict[str, float] = {}
         self._output = ""
+        self._shown = tuple(shown_warnings)
         self._stamps = {path: _stamp(path) for path in self._input_files()}
 
     def __enter__(self) -> Run:
@@ -93,7 +95,7 @@ class Run:
         told = self.warnings
         handled = self._stack.__exit__(kind, error, trace)
         if error is None:
-            for text in told:
+            for text in told[len(dict.fromkeys(self._shown)) :]:
                 complain(f"warning: {text}")
             say(self._output, complete=self._options.output)
         return handled
@@ -102,7 +104,7 @@ class Run:
     def warnings(self) -> list[str]:
         """What the user should know, a line each, in order."""
         texts = [one_line(str(one.message)) for one in self._caught if issubclass(one.category, GrindvisionWarning)]
-        return list(dict.fromkeys(texts))
+        return list(dict.fromkeys((*self._shown, *texts)))
 
     def _input_files(self) -> list[Path]:
         """The inputs, and the files that options name."""

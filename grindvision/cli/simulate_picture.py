@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grindvision.cli.pictures import save_png
+from grindvision.cli.relief import draw_relief
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from grindvision.cell import CalibrationExperiment, GrindingScene, JointScene, WeldScene
 
 GREY, MARKED, TRUTH, TEST_ROWS = "#bbbbbb", "#0072B2", "#D55E00", "#E69F00"
-MAX_DOTS = 20_000
 
 
 def draw(made: Any, subject: str, seed: int, path: Path) -> None:
@@ -44,8 +44,8 @@ def draw(made: Any, subject: str, seed: int, path: Path) -> None:
 
 
 def _draw_grinding(axes: np.ndarray, scene: GrindingScene) -> str:
-    _dots(axes[0], scene.sample.points, GREY)
-    _dots(axes[1], scene.test.points, GREY)
+    _surface(axes[0], scene.sample.points, GREY)
+    _surface(axes[1], scene.test.points, GREY)
     axes[1].plot(*scene.ridge_mm[:, :2].T, color=TRUTH, lw=2, label="ridge of the bead (truth)")
     axes[1].legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     axes[0].set_title("sample.ply, the good part")
@@ -56,8 +56,7 @@ def _draw_grinding(axes: np.ndarray, scene: GrindingScene) -> str:
 def _draw_welding(axes: np.ndarray, scenes: dict[str, WeldScene]) -> str:
     for panel, (kind, scene) in zip(axes, scenes.items(), strict=True):
         points, labels = scene.points.reshape(-1, 3), scene.labels.ravel()
-        _dots(panel, points[~labels], GREY)
-        _dots(panel, points[labels], MARKED)
+        _surface(panel, points[labels], MARKED, _surface(panel, points, GREY))
         panel.plot(*scene.root_mm[:, :2].T, color=TRUTH, lw=1.5)
         panel.set_title(f"{kind}: {len(points):,} points, {labels.sum():,} in the groove")
     return "Blue: points of the groove, orange: its root (truth). Frame: the camera's, seen from the camera."
@@ -67,7 +66,7 @@ def _draw_joints(axes: np.ndarray, scenes: dict[str, JointScene]) -> str:
     for panel in axes[len(scenes) :]:
         panel.set_axis_off()
     for panel, (kind, scene) in zip(axes, scenes.items(), strict=False):
-        _dots(panel, scene.points, GREY)
+        _surface(panel, scene.points, GREY)
         panel.plot(*scene.root_mm[:, :2].T, ".", ms=1.5, color=TRUTH)
         panel.set_title(f"{kind}: {len(scene.points):,} points")
     return "Orange: the seam as far as it is seen (truth). Frame: the camera's, seen from the camera."
@@ -85,6 +84,8 @@ def _draw_calibration(axes: np.ndarray, experiment: CalibrationExperiment) -> st
     return str(experiment)
 
 
-def _dots(axes: Axes, points: np.ndarray, colour: str) -> None:
-    axes.plot(*points[:: max(len(points) // MAX_DOTS, 1), :2].T, ".", ms=1.8, mew=0, color=colour)
+def _surface(axes: Axes, points: np.ndarray, colour: str, size_mm: float = 0.0) -> float:
+    """Points (N, 3) as the camera sees them: its x to the right, y downwards, z away from it."""
+    axes.yaxis.set_inverted(True)
     axes.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+    return draw_relief(axes, points[:, :2], -points[:, 2], colour, size_mm=size_mm)

@@ -60,6 +60,10 @@ def say(text: str, complete: str = "") -> None:
         raise FileError(f"{error.strerror or error} on stdout{stands}") from None
 
 
+#: Warnings that this command has shown before its ``Run`` began, in order: its reports repeat them.
+shown_warnings: list[str] = []
+
+
 def complain(text: str) -> None:
     """One line on stderr; where nobody can read it, nothing."""
     with suppress(OSError, ValueError):

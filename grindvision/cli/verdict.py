@@ -23,7 +23,7 @@ def draw_verdict(figure: Figure, verdict: str, facts: str, warnings: Sequence[st
     """
     lines = [facts]
     for text in warnings[:max_warnings]:
-        lines += textwrap.wrap(f"Look: {text}", WIDTH, subsequent_indent="    ")[:2]
+        lines += textwrap.wrap(f"Look: {text}", WIDTH, subsequent_indent="    ", max_lines=4, placeholder=" ...")
     if len(warnings) > max_warnings:
         lines.append(f"and {len(warnings) - max_warnings} more in report.json")
     height = 0.42 + 0.19 * len(lines)
