@@ -113,6 +113,30 @@ def test_every_page_loads_light_and_without_error_draws_its_formulas_and_fits_a_
     assert not wrong and not tab.troubles
 
 
+#: Words of links in tables that are broken between two lines.
+BROKEN_WORDS = """() => {
+    const broken = [];
+    for (const link of document.querySelectorAll(".bd-article table a")) {
+        const texts = document.createTreeWalker(link, NodeFilter.SHOW_TEXT);
+        while (texts.nextNode()) for (const word of texts.currentNode.data.matchAll(/[\\p{L}\\p{N}]+/gu)) {
+            const range = document.createRange();
+            range.setStart(texts.currentNode, word.index);
+            range.setEnd(texts.currentNode, word.index + word[0].length);
+            if (new Set([...range.getClientRects()].map((box) => Math.round(box.top))).size > 1) broken.push(word[0]);
+        }
+    }
+    return broken;
+}"""
+
+
+@pytest.mark.parametrize("name", ["errata", "teachers_guide", "index", "figures/scoreboard"])
+def test_no_link_in_a_table_is_broken_inside_a_word_on_a_telephone(tab, whole_site, name):
+    tab.set_viewport_size({"width": min(WIDTHS), "height": 900})
+    tab.goto((whole_site / f"{name}.html").as_uri())
+    assert tab.locator(".bd-article table a").count() > 0
+    assert tab.evaluate(BROKEN_WORDS) == []
+
+
 #: How JupyterLab sets tables (its ``rendermime`` styles), and the place of a cell's output.
 LAB = """<style>body {margin: 0} .jp-OutputArea-output {width: %dpx; overflow: auto; font: 13px sans-serif}
 table {border-collapse: collapse; table-layout: fixed; font-size: 13px} td, th {padding: 0.5em; white-space: normal}

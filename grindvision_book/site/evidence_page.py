@@ -127,4 +127,6 @@ def _choice(name: str, label: str, values: Iterable[str]) -> str:
 
 
 def _number(value: float) -> str:
-    return "" if value != value else f"{value:.4g}"
+    if value != value:
+        return ""
+    return "under 0.0001" if 0 < value < 1e-4 else f"{value:.4g}"
