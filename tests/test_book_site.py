@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from PIL import Image
 
 from grindvision_book.machinery.answers import scoreboard
 from grindvision_book.machinery.chapters import chapters
@@ -18,7 +19,16 @@ from grindvision_book.site.chapter_pages import scoreboard_html
 from grindvision_book.site.downloads import notebook_links
 from grindvision_book.site.evidence_page import strip
 from grindvision_book.site.findings import printed_numbers, rebuilt_numbers
-from grindvision_book.site.pictures import HEAVY_BYTES, dark_svg, light_copies, lightened, tables_in
+from grindvision_book.site.pictures import (
+    BRIGHT,
+    DARK,
+    HEAVY_BYTES,
+    _write_dark_picture,
+    dark_svg,
+    light_copies,
+    lightened,
+    tables_in,
+)
 from grindvision_book.site.scenes import SCENES
 from tests.built_site import SAID, Page
 
@@ -242,6 +252,19 @@ def test_every_figure_of_a_chapter_has_a_dark_copy_and_a_page_that_is_shared_sho
         shown = re.search(r'og:image" content="([^"]+)"', head)
         assert shown and (whole_site / shown[1]).is_file(), name
         assert re.search(r'og:title" content="\w', head) and re.search(r'og:description" content="[^"]{60,200}"', head)
+
+
+def test_a_dark_picture_shows_a_translucent_colour_as_it_would_stand_on_a_dark_ground(tmp_path):
+    opacities, colour = np.array([0.15, 0.3, 0.6, 1.0]), np.array([0, 114, 178])
+    on_white = np.rint(opacities[:, None] * colour + (1 - opacities[:, None]) * 255).astype(np.uint8)
+    light, dark = tmp_path / "light.png", tmp_path / "dark.png"
+    Image.fromarray(np.stack([on_white, np.array([[0] * 3, [255] * 3, [128] * 3, [255, 0, 0]], np.uint8)])).save(light)
+    _write_dark_picture(light, dark)
+    drawn = np.asarray(Image.open(dark).convert("RGB"), dtype=float)
+    on_dark = opacities[:, None] * colour + (1 - opacities[:, None]) * DARK
+    assert np.abs(drawn[0] - on_dark).max() < 25  # a pale tint is partly a grey, which is turned
+    assert drawn[0].mean(axis=1).argsort().tolist() == [0, 1, 2, 3]
+    assert drawn[1, 0, 0] == BRIGHT and drawn[1, 1, 0] == DARK and drawn[1, 3].tolist() == [255, 0, 0]
 
 
 def test_a_dark_drawing_turns_greys_and_keeps_colours():

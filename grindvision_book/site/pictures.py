@@ -153,7 +153,8 @@ def _on_dark(grey: float) -> float:
 
 
 def _darkened(picture: Image.Image) -> Image.Image:
-    """A picture (RGBA) whose greys are turned, and whose other colours stay."""
+    """A picture (RGBA) whose greys are turned; other colours stay, but for their share of white, which is the ground
+    that a translucent band or a pale end of a colour map lets through."""
     from PIL import Image
 
     pixels = np.array(picture.convert("RGBA"))
@@ -161,8 +162,9 @@ def _darkened(picture: Image.Image) -> Image.Image:
     spread = np.maximum(np.maximum(*colours[:2]), colours[2]) - np.minimum(np.minimum(*colours[:2]), colours[2])
     hue = np.clip(np.arange(256, dtype=np.float32) / (2 * _GREY), 0, 1)
     gain, shift = (hue + (1 - hue) * (DARK - BRIGHT) / 255)[spread], ((1 - hue) * BRIGHT)[spread]
+    shift -= hue[spread] * np.minimum(np.minimum(*colours[:2]), colours[2]) * np.float32((255 - DARK) / 255)
     for colour in colours:
-        colour[:] = np.rint(gain * colour + shift)
+        colour[:] = np.clip(np.rint(gain * colour + shift), 0, 255)
     return Image.fromarray(pixels, "RGBA")
 
 
