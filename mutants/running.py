@@ -112,7 +112,7 @@ class Laboratory:
             if unchanged:
                 leave_kernels_as_they_were(*unchanged)
             plan = Plan(self.seconds, self.failed, killers)
-            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *tests], plugins=[plan]))
+            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:nbmake", *tests], plugins=[plan]))
         finally:
             os._exit(code)
 

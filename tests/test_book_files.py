@@ -1,6 +1,8 @@
 """Rebuilt files against committed ones: what agrees, what is replaced, what is kept, and the list of what there is."""
 
 import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -271,3 +273,15 @@ def test_table_one_takes_its_seconds_from_the_committed_race(tmp_path):
     (tmp_path / "race.csv").write_text("\n".join(line for line in text.splitlines() if not line.startswith("box")))
     with pytest.raises(FileError, match="no row of grindvision on the box"):
         raced_table(tmp_path / "race.csv")
+
+
+def test_a_build_loads_no_grammar_of_addresses_and_leaves_it_to_others():
+    """It takes longer to load than everything else that reads a notebook."""
+    code = (
+        "import sys; from importlib.util import find_spec; from grindvision_book.machinery import kernels, reading;"
+        "import nbclient, nbconvert; assert 'nbformat' in sys.modules and 'rfc3987_syntax' not in sys.modules;"
+        "print(find_spec('rfc3987_syntax') is not None)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == str(find_spec("rfc3987_syntax") is not None)

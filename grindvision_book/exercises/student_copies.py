@@ -50,7 +50,7 @@ def write_student_copies(masters: Path = MASTERS, students: Path = STUDENTS) -> 
     Raises:
         FileError: no master there, a damaged one, or no write permission; copies before it are written then.
     """
-    import nbformat
+    from grindvision_book.machinery.notebook_files import nbformat
 
     found = sorted(path for path in masters.glob("*.ipynb"))
     if not found:

@@ -14,6 +14,7 @@ from pathlib import Path
 from grindvision.files import write_whole
 from grindvision_book.machinery.arithmetic import PINS, pins
 from grindvision_book.machinery.event_loop import is_ending
+from grindvision_book.machinery.notebook_files import nbformat
 
 #: A cell that takes longer than this has hung.
 CELL_TIMEOUT_S = 3600
@@ -47,7 +48,6 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
     Raises:
         asyncio.CancelledError: the build was told to end; no copy is written then.
     """
-    import nbformat
     from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.files import write_text
+from grindvision_book.machinery.notebook_files import nbformat
 from grindvision_book.machinery.places import NOTEBOOKS
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ pre { background: #f6f6f6; padding: 0.6rem; overflow-x: auto; font-size: 0.85em;
 
 def write_page(notebook: Path, page: Path, title: str) -> None:
     """Write a chapter's executed copy as one file of HTML, pictures inside; nothing where there is no such copy."""
-    import nbformat
     from nbconvert import HTMLExporter
 
     if not notebook.exists():

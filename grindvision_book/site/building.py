@@ -19,6 +19,7 @@ from grindvision.errors import GrindvisionError
 from grindvision.files import sha256, write_json
 from grindvision_book.machinery.answers import write_scoreboard
 from grindvision_book.machinery.kept import installed
+from grindvision_book.machinery.notebook_files import nbformat
 from grindvision_book.machinery.places import FIGURES, NOTEBOOKS, ROOT, SITE
 from grindvision_book.site.chapter_pages import readable
 from grindvision_book.site.downloads import notebook_links, repository
@@ -223,7 +224,6 @@ def _gather(
 
     Returns the light copies of the pictures, as ``light_copies`` does.
     """
-    import nbformat
     from nbformat.v4 import new_markdown_cell
 
     shutil.rmtree(sources, ignore_errors=True)
@@ -277,7 +277,6 @@ def _gather(
 
 def _gather_exercises(target: Path, exercises: Sequence[Path], address: str, in_browser: bool) -> None:
     """Copy the exercises, each with links to take it away below its title."""
-    import nbformat
     from nbformat.v4 import new_markdown_cell
 
     for exercise in exercises:
