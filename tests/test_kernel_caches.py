@@ -82,7 +82,7 @@ from grindvision import kernels
 from grindvision.cli import main
 assert main(["compile"]) == 0
 before = kernels.compiled
-for door in ("detect s.ply t.ply", "groove g.ply", "groove g.ply --variant paper"):
+for door in ("detect s.ply t.ply", "grind s.ply t.ply", "groove g.ply", "groove g.ply --variant paper"):
     assert main([*door.split(), "-o", "out"]) == 0
 assert kernels.compiled == before, "compiled by a tool, not beforehand"
 """

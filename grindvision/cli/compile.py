@@ -97,6 +97,7 @@ def _works(folder: Path) -> Iterator[list[str]]:
     yield ["calibrate-field", *plates, "--steps-mm", "0", "15", "30", "--distance-mm", "400"]
     yield ["detect", str(folder / "sample.ply"), str(folder / "test.ply")]
     yield ["detect", _model(folder), str(folder / "test.ply")]
+    yield ["grind", str(folder / "sample.ply"), str(folder / "test.ply")]
     yield ["groove", str(folder / "groove.ply")]
     yield ["groove", str(folder / "groove.ply"), "--variant", "paper"]
 
