@@ -135,6 +135,29 @@ def kiss_matcher_pose(scene: WorkpieceScene) -> Floats:
 PEERS: dict[str, Callable[[WorkpieceScene], Floats]] = {"open3d": open3d_pose, "kiss-matcher": kiss_matcher_pose}
 
 
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    """The rows that an earlier run, perhaps cut off, left in ``path``; none where there is no such file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows: list[dict[str, Any]] = list(csv.DictReader(file))
+    for row in rows:
+        row["pair"], row["determined"] = int(row["pair"]), row["determined"] == "True"
+        for name in ("pose_mm", "confidence", "seconds"):
+            row[name] = float(row[name]) if row[name] else None
+    return [{name: value for name, value in row.items() if value is not None} for row in rows]
+
+
+def append(path: Path, row: dict[str, Any]) -> None:
+    """Put ``row`` at the end of ``path``, at once, so that a long study that is cut off keeps what it has."""
+    begins = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        if begins:
+            writer.writeheader()
+        writer.writerow(row)
+
+
 def main(words: list[str] | None = None) -> int:
     """Run the study and print its table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.workpieces", description=__doc__.splitlines()[0])
@@ -144,11 +167,16 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--model", action="store_true", help="the good part's model takes the place of its scan")
     parser.add_argument("--kinds", nargs="+", choices=tuple(WORKPIECES), default=tuple(WORKPIECES))
     parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=())
-    parser.add_argument("--csv", type=Path, help="a row a pair into this file")
+    parser.add_argument(
+        "--csv", type=Path, help="a row a pair, appended to this file; pairs that stand in it are skipped"
+    )
     options = parser.parse_args(words)
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = rows_of(options.csv) if options.csv else []
+    done = {row["pair"] for row in rows}
     peers: dict[str, list[float]] = {name: [] for name in options.peers}
     for pair in range(options.first, options.first + options.pairs):
+        if pair in done:
+            continue
         scene = scene_of(pair, options.seed, tuple(options.kinds))
         row = {"pair": pair, "kind": scene.piece.kind, "change": scene.change, "determined": scene.determined}
         rows.append(row | judged(scene, DetectOptions(seed=pair), options.model))
@@ -156,11 +184,8 @@ def main(words: list[str] | None = None) -> int:
                 for name in COLUMNS), sep="  ", flush=True)  # fmt: skip
         for name, errors in peers.items():
             errors.append(scene.pose_error_mm(PEERS[name](scene)))
-    if options.csv:
-        with options.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
+        if options.csv:
+            append(options.csv, rows[-1])
     determined = [row for row in rows if row["determined"]]
     for title, some in (("all", rows), ("determined", determined)):
         counts = Counter(row["outcome"] for row in some)

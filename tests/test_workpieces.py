@@ -62,3 +62,17 @@ def test_unknown_words_and_angles_are_refused():
         workpiece_scene("tray", rng, "dent")
     with pytest.raises(InputError, match="apart_deg"):
         workpiece_scene("tray", rng, apart_deg=(50, 40))
+
+
+def test_a_table_that_was_cut_off_is_read_back_as_it_was_written(tmp_path):
+    from benchmarks.workpieces import append, rows_of
+
+    solved = {"pair": 0, "kind": "tray", "change": "pit", "determined": True, "outcome": "solved", "pose_mm": 0.25,
+              "confidence": 1.0, "seconds": 1.5, "said": "nothing, or\nthe like"}  # fmt: skip
+    refused = {"pair": 7, "kind": "sheet", "change": "bead", "determined": False, "outcome": "refused", "seconds": 2.5,
+               "said": "ambiguous"}  # fmt: skip
+    path = tmp_path / "rows.csv"
+    assert rows_of(path) == []
+    for row in (solved, refused):
+        append(path, row)
+    assert rows_of(path) == [solved, refused]
