@@ -39,10 +39,10 @@ PASS_NUMBERS = ("number", "floor_mm", "depth_mm", "feed_mm_s", "force_n", "remov
 @dataclass(frozen=True)
 class GrindingJob:
     """A job as it was written: ``T_sample_test`` (4, 4), the ``places`` of its pieces, their ``sigma_mm`` (R, C) and
-    ``plans`` (None where a piece has none), in the frame of the test scan; ``sample``: path, sha256 and unit of the
+    ``plans`` (None where a piece has none), in the frame of the test scan; ``sample``: path, sha256, unit, box of the
     good scan; ``T_base_scanner`` (4, 4) of the test scan, where it was given."""
 
-    sample: Mapping[str, str | None]
+    sample: Mapping[str, Any]
     T_sample_test: Floats
     places: tuple[MappedPlace, ...]
     sigma_mm: tuple[Floats, ...]
@@ -56,7 +56,7 @@ def job_of(
     pieces: tuple[StockPiece, ...],
     plans: tuple[GrindingPlan | None, ...],
     options: GrindingOptions,
-    sample: Mapping[str, str | None] | None = None,
+    sample: Mapping[str, Any] | None = None,
     T_base_scanner: Floats | None = None,
 ) -> GrindingJob:
     """What a job is gone on with: the places of its ``pieces``, and their ``plans``."""

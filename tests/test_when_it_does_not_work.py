@@ -23,6 +23,7 @@ from tests.groove_scenes import cloud, grid, straight_groove, vee
 from tests.hand_eye_scene import TARGET, looking_poses, seen_points, sphere_view
 from tests.test_hand_eye import folder_of_parts
 from tests.test_merge import folder_of
+from tests.test_moved_body import scanned as part_on_table
 
 PAGE = Path(grindvision_book.__file__).parent / "site_sources" / "when_it_does_not_work.md"
 Mistake = Callable[[Path], list[object]]
@@ -185,6 +186,11 @@ def swollen(folder):
 @mistake("The overlap hardly fixes the pose")
 def apart(folder):
     return seen_twice(plate_height, folder, windows=((-100, -20, -70, 70), (0, 100, -70, 70)))
+
+
+@mistake("The part was put down anew on its table")
+def put_down_anew(folder):
+    return two(folder, *part_on_table(1, 1.0, 0.5, False)[0])
 
 
 @mistake("A table around the part")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
 from grindvision.cli.deformation_file import DEFORMATION_FILE, deformation_text
 from grindvision.cli.parameters import check_count, number, whole
+from grindvision.cli.part import add_box_arguments, add_datum_argument, cut_to_box, read_datum
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
@@ -61,6 +62,7 @@ examples:
   grindvision detect good.ply test.ply -o result
   grindvision detect good.stl test.pcd -o result --unit m --scanner-pose pose.json --points 12
   grindvision detect good.ply test.ply -o result --hand-eye camera/hand_eye.json --robot-pose 412.5 80 310 180 0 45
+  grindvision detect good.ply test.ply -o result --sample-box -80 -60 380 80 60 440 --test-box -90 -60 380 70 60 440
   grindvision detect model.stl test.ply -o result --field-correction camera/field.npz
   grindvision detect good.ply test.ply -o again --parameters result/parameters.toml
 """
@@ -86,19 +88,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST")
+    add_box_arguments(scans)
     add_mirrored_argument(scans, "SAMPLE and TEST")
     scans.add_argument(
         "--mirrored-only",
         choices=("sample", "test"),
         help="only this one of the two clouds is mirrored (default: both)",
     )
-    scans.add_argument(
-        "--datum",
-        nargs="+",
-        metavar="FILE",
-        help="the faces that fix the pose, in SAMPLE's frame: a file of points on them, in SAMPLE's unit, or six"
-        " numbers, two opposite corners of a box in mm (default: all faces, less one that the others contradict)",
-    )
+    add_datum_argument(scans)
     add_field_argument(scans)
     scans.add_argument(
         "--sample-model",
@@ -177,36 +174,6 @@ def run(options: argparse.Namespace) -> int:
     return 3 if lacking else 0
 
 
-def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
-    """The datum of ``--datum``, if given: corners (2, 3) in mm of a box, or points (K, 3) in mm of a file.
-
-    Raises:
-        InputError: neither a file nor six numbers. FileError: see ``read_cloud``.
-    """
-    if words is None:
-        return None
-    import numpy as np
-
-    from grindvision.clouds import finite_points, read_cloud
-
-    if len(words) == 1:
-        points = finite_points(read_cloud(words[0], unit), words[0])
-        if len(points) < 3:
-            raise InputError(
-                f"--datum {words[0]} holds {len(points)} points; give some on every face that fixes the pose"
-            )
-        return points
-    try:
-        corners = np.array([float(word) for word in words])
-    except ValueError:
-        corners = np.empty(0)
-    if len(corners) != 6 or not np.isfinite(corners).all():
-        raise InputError(
-            f"--datum has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
-        )
-    return corners.reshape(2, 3)
-
-
 def read_sample_and_test(
     options: argparse.Namespace, field: FieldCorrection | None, mirrored: tuple[str | None, str | None] = (None, None)
 ) -> tuple[np.ndarray | Model, np.ndarray, list[Cloud | Model]]:
@@ -219,13 +186,19 @@ def read_sample_and_test(
     if not isinstance(good, Cloud):
         if options.sample_viewpoint is not None:
             raise InputError("--sample-viewpoint is for a scan, and SAMPLE is a model; leave it out")
-        return good, test if field is None else corrected(field, scan, test, options.test), [good, scan]
+        if options.sample_box is not None:
+            raise InputError("--sample-box is for a scan, and SAMPLE is a model; leave it out")
+        test = test if field is None else corrected(field, scan, test, options.test)
+        scan, test = cut_to_box(scan, test, options.test_box, options.test, "--test-box")
+        return good, test, [good, scan]
     sample = finite_points(good, options.sample)
     if field is not None:
         test = corrected(field, scan, test, options.test)
         if not options.sample_model:
             check_own_frame(options.sample_viewpoint)
             sample = corrected(field, good, sample, options.sample, "export it as measured, or say --sample-model")
+    good, sample = cut_to_box(good, sample, options.sample_box, options.sample, "--sample-box")
+    scan, test = cut_to_box(scan, test, options.test_box, options.test, "--test-box")
     return sample, test, [good, scan]
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
 from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
+from grindvision.cli.part import add_box_arguments, add_datum_argument, read_datum
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
@@ -99,9 +100,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_unit_argument(scans)
     scans.add_argument("--sample-unit", choices=UNITS, help="unit of SAMPLE's numbers, where it is not that of TEST")
+    add_box_arguments(scans)
     add_field_argument(scans)
     scans.add_argument("--sample-model", action="store_true", help="SAMPLE is made of points of a model, as in detect")
-    scans.add_argument("--datum", nargs="+", metavar="FILE", help="the faces that fix the pose, as in detect")
+    add_datum_argument(scans)
     scans.add_argument("--scanner-pose", metavar="FILE.json", help="4x4 matrix T_base_scanner of the last scan, mm")
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST or the new scan")
@@ -191,7 +193,7 @@ def grinding_options(options: argparse.Namespace, before: GrindingOptions | None
 
 
 def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
-    from grindvision.cli.detect import read_datum, read_sample_and_test
+    from grindvision.cli.detect import read_sample_and_test
     from grindvision.cli.pictures import drawing
     from grindvision.files import sha256
     from grindvision.grinding import STAGES, GrindOptions, grind
@@ -266,8 +268,8 @@ def _origin(options: argparse.Namespace) -> dict[str, str | None]:
     from grindvision.files import sha256
 
     path = str(Path(options.sample).resolve())
-    units = {"unit": options.unit, "sample_unit": options.sample_unit}
-    return {"path": path, "sha256": sha256(options.sample), **units}
+    read_as = {"unit": options.unit, "sample_unit": options.sample_unit, "sample_box": options.sample_box}
+    return {"path": path, "sha256": sha256(options.sample), **read_as}
 
 
 def _keep_out(options: argparse.Namespace) -> np.ndarray | None:

@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.part import read_datum
 from grindvision.cli.report import Run
 from grindvision.cli.scans import diagnose_pose, read_correction, read_pose, size_question, where_it_stood
 from grindvision.errors import FileError, GrindvisionWarning, InputError
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
     """Run it; 3 where a tolerance is named and not met."""
-    from grindvision.cli.detect import read_datum, read_sample_and_test
+    from grindvision.cli.detect import read_sample_and_test
     from grindvision.cli.grind import LIBRARIES, grinding_options
     from grindvision.cli.grind_results import write_ways
     from grindvision.cli.grind_robot import PROGRAM_FILES, grind_robot
@@ -43,6 +44,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
     del options.clouds
     options.unit = unit = options.unit or job.sample.get("unit")
     options.sample_unit = options.sample_unit or job.sample.get("sample_unit")
+    options.sample_box = options.sample_box or job.sample.get("sample_box")
     field = read_correction(options.field_correction, options.test_viewpoint)
     outdated = ("passes.csv", "passes_base.csv", PLAN_FILE, "report.pdf", *PROGRAM_FILES)
     with Run(options, ("sample", "test"), LIBRARIES, len(STAGES) + 3, outdated) as work:
@@ -69,7 +71,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("write"):
             motion = None
             if any(plan is not None for plan in plans):
-                origin = {**job.sample, "path": str(Path(options.sample).resolve())}
+                origin = {**job.sample, "path": str(Path(options.sample).resolve()), "sample_box": options.sample_box}
                 rest = job_of(T_sample_test, pieces, plans, found.passes, origin, T_base_scanner)
                 write_job(work.place / PLAN_FILE, rest, pieces)
                 motion = write_ways(work.place, plans, T_base_scanner, robot, new)

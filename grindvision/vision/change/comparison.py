@@ -14,6 +14,7 @@ from grindvision.records import by_content
 from grindvision.vision.change.bent_pieces import bending_doubts
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
+from grindvision.vision.change.moved_body import check_one_body
 from grindvision.vision.registration.datum import refine_on_datum
 from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
 from grindvision.vision.registration.face_offsets import FaceReading, read_faces
@@ -90,6 +91,8 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: CompareOptions,
     found = replace(registered.registration, fine=faces.registration)
     of_field = None if deformed is None else deformed.place_variances
     difference = find_change(found.source, found.target, found.fine, settled=faces.settled, place_variance=of_field)
+    if deformed is None:
+        check_one_body(found.source, found.target, found.fine, difference)
     doubted = {} if deformed is None else bending_doubts(difference, found.source.surfels.normals, deformed)
     clock.lap("difference")
     return Comparison(found, difference, faces, registered.surface, deformed, doubted, options.seed)

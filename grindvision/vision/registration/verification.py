@@ -44,6 +44,12 @@ MIN_CONFIDENCE = 0.5
 TRUE_AGREEMENT = 0.88
 """Share of agreement at true poses: a pose that is open and agrees less is no fit but a chance one."""
 
+TWO_BODIES = (
+    " Or has the part moved against something that both scans show? Then cut both to the part (--sample-box,"
+    " --test-box)"
+)
+"""What else may keep scans apart that agree nearly everywhere."""
+
 UNRESISTED = 2 * NORMAL_NOISE**2
 """A motion that so small a part of the surface resists is held by the errors of the normals alone, and free."""
 
@@ -160,13 +166,12 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
     posterior = 1 / (1 + np.exp(np.clip(CHANCE - np.array(ratios), -50, 50)).sum()) if ratios else 1.0
     confidence = float(posterior * fits)
     unresisted = weak_motions(judge, best, UNRESISTED)
-    if fits < MIN_CONFIDENCE or (
-        (unresisted.size > 0 or confidence < MIN_CONFIDENCE) and found.fraction_of_overlap < TRUE_AGREEMENT
-    ):
+    unlike_chance = found.fraction_of_overlap >= TRUE_AGREEMENT
+    if fits < MIN_CONFIDENCE or ((unresisted.size > 0 or confidence < MIN_CONFIDENCE) and not unlike_chance):
         raise DegenerateError(
             f"the two scans do not fit: of what both scanners could see, {found.overlap:.0%},"
             f" {found.fraction_of_overlap:.0%} agrees: this may be chance;"
-            " are they scans of the same part, from nearby views?"
+            " are they scans of the same part, from nearby views?" + (TWO_BODIES if unlike_chance else "")
         )
     if unresisted.size:
         raise AmbiguousError(_free_motion(judge, best, unresisted))

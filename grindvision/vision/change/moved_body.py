@@ -1,0 +1,129 @@
+"""Whether something in both scans has moved against the rest: a part that was put down anew on a table that both show.
+
+One pose fits one rigid body. Where the scans show two, the pose fits the larger one; the other comes out as stock on
+its leading faces and as missing material on its trailing ones. Such a body is known by this: most of the surface that
+disagrees at the pose agrees once it is moved by one rigid motion, on faces of two directions or more. A face that is
+off as a whole is explained by a motion, too, but faces one way only; a bead has no counterpart in the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grindvision.errors import DegenerateError
+from grindvision.geometry import angle_between, inverse, move_points, rigid
+from grindvision.records import by_content
+from grindvision.vision.change.change_detection import Difference
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
+from grindvision.vision.surface.scan import Scan
+
+Floats = NDArray[np.float64]
+
+SPREADS = 4.0
+"""Surfaces that are farther apart than so many standard deviations of the residuals at the pose disagree."""
+
+REACH_CELLS = 6.0
+"""A body is sought within so many cells of where each start puts it."""
+
+START = 1.5
+"""A start moves what disagrees by so many of its median distances along and against each of its principal axes."""
+
+MIN_SURFELS = 60
+"""Fewer surfels that one motion explains may be chance."""
+
+MIN_EXPLAINED = 0.55
+"""Fraction of the disagreeing surfels that a motion must explain. Of moved bodies it explains 0.6 to 0.9, the rest are
+faces that the other scan does not show; of beads, pits and a thick face at most 0.4, of a few surfels 0.5."""
+
+MIN_DIRECTIONS = 0.03
+"""Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
+direction have none, and are no evidence of a body."""
+
+
+@by_content
+@dataclass(frozen=True)
+class MovedBody:
+    """What has moved between the scans against what fixes the pose, frame of the test scan.
+
+    ``T_now_before`` (4, 4): its motion from where the sample has it, by the pose, to where the test scan has it;
+    ``middle_mm`` (3,): of its faces that show the motion; ``surfels``: so many of them; ``explained``: their fraction
+    of all surfels that disagree at the pose.
+    """
+
+    T_now_before: Floats
+    middle_mm: Floats
+    surfels: int
+    explained: float
+
+    @property
+    def distance_mm(self) -> float:
+        """How far its middle has moved."""
+        before = move_points(inverse(self.T_now_before), self.middle_mm)
+        return float(np.linalg.norm(self.middle_mm - before))
+
+    def __str__(self) -> str:
+        place = ", ".join(f"{value:.0f}" for value in self.middle_mm)
+        angle = np.degrees(angle_between(self.T_now_before, np.eye(4)))
+        return f"what is about ({place}) mm in the test scan has moved by {self.distance_mm:.2g} mm and {angle:.2g} deg"
+
+
+def find_moved_body(
+    source: Scan, target: Scan, registration: FineRegistration, difference: Difference
+) -> MovedBody | None:
+    """The body that has moved against the rest, None where no motion explains what disagrees.
+
+    ``registration`` is T_target_source; ``difference`` that of the source at this pose.
+    """
+    surfels, pose, cell = source.surfels, registration.T_target_source, target.surfels.grid.size_mm
+    residuals, facing = plane_residuals(surfels.points, surfels.normals, target.surfels, pose, 3 * cell)
+    if not facing.any():
+        return None
+    within = SPREADS * 1.4826 * float(np.median(np.abs(residuals[facing])))
+    apart = np.abs(difference.signed_mm) > within  # NaN is not
+    even = surfels.excess_mm2 <= within**2  # a plane through an edge is none
+    disagree = apart & even & ~(facing & (np.abs(residuals) <= within))
+    if disagree.sum() < MIN_SURFELS:
+        return None
+    points, normals = surfels.points[disagree], surfels.normals[disagree]
+    best, explained = pose, np.zeros(len(points), dtype=bool)
+    for start in _starts(points, pose, START * float(np.median(np.abs(difference.signed_mm[disagree])))):
+        try:
+            moved = icp_planes(points, normals, target.surfels, start, REACH_CELLS * cell, within, 100)
+        except DegenerateError:  # nothing of the target is near
+            continue
+        rest, facing = plane_residuals(points, normals, target.surfels, moved.T_target_source, 3 * cell)
+        agree = facing & (np.abs(rest) <= within)
+        if agree.sum() > explained.sum():
+            best, explained = moved.T_target_source, agree
+    if explained.sum() < max(MIN_SURFELS, MIN_EXPLAINED * len(points)):
+        return None
+    up = normals[explained]
+    if np.linalg.eigvalsh(up.T @ up / len(up))[1] < MIN_DIRECTIONS:
+        return None
+    motion = inverse(inverse(pose) @ best)
+    return MovedBody(motion, np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean()))
+
+
+def _starts(points: Floats, pose: Floats, length_mm: float) -> list[Floats]:
+    """The pose (4, 4), and the pose after a translation of points (N, 3) along and against each principal axis."""
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    steps = [sign * length_mm * axis for axis in axes for sign in (1, -1)]
+    return [pose, *(pose @ rigid(np.eye(3), step) for step in steps)]
+
+
+def check_one_body(source: Scan, target: Scan, registration: FineRegistration, difference: Difference) -> None:
+    """Refuse a comparison of scans that show two bodies, of which one has moved.
+
+    Raises:
+        DegenerateError: a body has moved; see ``find_moved_body``.
+    """
+    if body := find_moved_body(source, target, registration, difference):
+        raise DegenerateError(
+            f"the scans show two bodies, and {body} against the rest: one pose fits only one of the two; was the part"
+            " put down anew on a table or fixture that both scans show? Then cut both to the part (--sample-box,"
+            " --test-box)"
+        )
