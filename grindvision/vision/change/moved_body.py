@@ -35,9 +35,9 @@ START = 1.5
 MIN_SURFELS = 60
 """Fewer surfels that one motion explains may be chance."""
 
-MIN_EXPLAINED = 0.55
-"""Fraction of the disagreeing surfels that a motion must explain. Of moved bodies it explains 0.6 to 0.9, the rest are
-faces that the other scan does not show; of beads, pits and a thick face at most 0.4, of a few surfels 0.5."""
+MIN_EXPLAINED = 0.65
+"""Fraction of the disagreeing surfels that a motion must explain. Of moved bodies it explains 0.7 to 0.9, the rest are
+faces that the other scan does not show; of pits and a thick face at most 0.4, of a bead's flat top and sides 0.6."""
 
 MIN_DIRECTIONS = 0.03
 """Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
@@ -68,7 +68,8 @@ class MovedBody:
     def __str__(self) -> str:
         place = ", ".join(f"{value:.0f}" for value in self.middle_mm)
         angle = np.degrees(angle_between(self.T_now_before, np.eye(4)))
-        return f"what is about ({place}) mm in the test scan has moved by {self.distance_mm:.2g} mm and {angle:.2g} deg"
+        motion = f"about {self.distance_mm:.2g} mm and {angle:.2g} deg"
+        return f"what is about ({place}) mm in the test scan has moved by {motion}"
 
 
 def find_moved_body(
