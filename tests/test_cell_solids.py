@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from grindvision import cell, paper
+from grindvision.cell.rays import Target
 from grindvision.cell.solids import box
 from grindvision.errors import InputError, SightError
 from grindvision.geometry import inverse, move_points, vector_angle
@@ -188,3 +189,19 @@ def test_a_scanner_too_narrow_for_the_bead_s_place_is_refused():
 def test_impossible_sizes_are_refused_by_name(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+@pytest.mark.parametrize("above_mm", [5.0, 20.0])
+def test_heights_over_a_face_are_told_as_far_as_asked_and_no_farther(above_mm):
+    solid = cell.flat_plate()
+    low, high = solid.vertices_mm.min(axis=0), solid.vertices_mm.max(axis=0)
+    wide = int(np.argmin(high - low))  # the plate's faces lie across its shortest side
+    up = np.eye(3)[wide]
+    under_mm = above_mm * np.array([0.98, 0.3, 0.0, -0.3, -0.98, -1.02, -3.0])  # how far the face lies above each point
+    points = np.tile((low + high) / 2, (len(under_mm), 1))
+    points[:, wide] = high[wide] - under_mm
+    found = Target(solid).heights(points, np.tile(up, (len(points), 1)), above_mm)
+    np.testing.assert_allclose(found[:5], under_mm[:5], atol=1e-3)
+    assert np.isnan(found[5:]).all()
+    beside = points[2:3] + 2 * (high - low) * (1 - up)
+    assert np.isnan(Target(solid).heights(beside, up[None], above_mm)).all()
