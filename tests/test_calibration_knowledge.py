@@ -1,5 +1,6 @@
 """What can be known, which poses to choose, and sphere centres out of clouds."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -20,7 +21,8 @@ from grindvision.calibration import (
     table_entries,
     unit_sizes,
 )
-from grindvision.calibration.model import carry
+from grindvision.calibration.causes import _session_causes
+from grindvision.calibration.model import carried, carry
 from grindvision.calibration.statistics import whitening
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import fit_sphere
@@ -250,3 +252,14 @@ def test_options_refuse_nonsense():
         Options(variant="best")
     with pytest.raises(InputError, match="tolerance is 0"):
         Options(tolerance=0)
+
+
+def test_a_jump_is_looked_for_between_poses_with_at_least_four_rows_on_either_side(rng):
+    made = rig(er3a(), rng, rows=24)
+    first_rows = [0, 2, 3, 4, 9, 15, 20, 21, 23]
+    pose = np.array([f"P{np.searchsorted(first_rows, row, side='right')}" for row in range(24)])
+    measurements = replace(made.measurements, pose=pose)
+    causes = _session_causes(carried(made.cell, measurements), measurements)
+    steps = [cause.course for cause in causes if cause.course is not None and set(cause.course) == {0.0, 1.0}]
+    assert {int(np.argmax(course)) for course in steps} == {4, 9, 15, 20}
+    assert all((np.diff(course) >= 0).all() for course in steps)
