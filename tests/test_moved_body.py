@@ -82,8 +82,9 @@ def test_the_motion_is_near_the_true_one_and_the_same_in_any_frame(rng):
         found = register(there_mm, sample, RegisterOptions(0, frame[:3, 3], np.zeros(3)))
         difference = find_change(found.source, found.target, found.fine)
         body = find_moved_body(found.source, found.target, found.fine, difference)
-        middle = move_points(inverse(frame), body.middle_mm)
-        step = middle - move_points(inverse(frame) @ inverse(body.T_now_before) @ frame, middle)
+        before_mm = move_points(inverse(body.T_now_before), body.middle_mm)
+        middle, before = move_points(inverse(frame), np.stack([body.middle_mm, before_mm]))
+        step = middle - before
         truths = inverse(T_before_now), T_before_now  # of the part on the table, and of the table under the part
         true_steps = [middle - move_points(inverse(truth), middle) for truth in truths]
         # a body of which few faces are seen is free to slide along them
