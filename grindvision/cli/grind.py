@@ -110,20 +110,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scans.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
     wheel = parser.add_argument_group("wheel and cut")
     kind = wheel.add_mutually_exclusive_group()
-    kind.add_argument("--wheel", type=number, metavar="MM", help="radius of a wheel that grinds with its rim (20)")
+    kind.add_argument(
+        "--wheel", type=number, metavar="MM", help="radius of a wheel that grinds with its rim (default: 20)"
+    )
     kind.add_argument("--disc", type=number, metavar="MM", help="radius of a disc that grinds with its tilted face")
     wheel.add_argument("--width", type=number, metavar="MM", help="width of the wheel (default: 6)")
     wheel.add_argument("--contact-angle", type=number, metavar="DEG", help="of the disc to the surface (default: 15)")
     wheel.add_argument("--depth", type=number, metavar="MM", help="depth of cut per pass (default: 0.1)")
     wheel.add_argument("--overlap", type=number, metavar="F", help="of lines, fraction of the contact (default: 0.3)")
     wheel.add_argument(
-        "--pattern", choices=("bead", "raster", "contour"), help="along the bead, in rows, around (bead)"
+        "--pattern",
+        choices=("bead", "raster", "contour"),
+        help="bead: along it; raster: in rows; contour: around (default: bead)",
     )
     wheel.add_argument("--step", type=number, metavar="MM", help="between path points (default: 1)")
     wheel.add_argument("--leave", type=number, metavar="MM", help="left standing (default: 1.5 sigma of the surface)")
     wheel.add_argument("--passes", type=whole, metavar="N", help="plan so many passes at most, to scan after them")
     process = parser.add_argument_group("process")
-    process.add_argument("--force", type=number, metavar="N", help="limit of the contact force (default: 40)")
+    process.add_argument("--force", type=number, metavar="N", help="limit of the contact force, newtons (default: 40)")
     process.add_argument(
         "--feed", type=number, nargs=2, metavar=("MIN", "MAX"), help="limits of the feed, mm/s (default: 1 50)"
     )

@@ -42,7 +42,7 @@ def draw(
     figure = Figure(figsize=(12, 7.5), layout="constrained")
     _draw_piece(figure.subplots(2, 2), pieces[0], plans[0])
     head, *rest = message.split("; ")
-    draw_verdict(figure, _cut(head, 105), _cut("; ".join(rest), 150), warnings)
+    draw_verdict(figure, _cut(head[:1].upper() + head[1:], 105), _cut("; ".join(rest), 150), warnings)
     with write_whole(folder / "report.png") as temporary:
         figure.savefig(temporary, dpi=100)
     with write_whole(folder / "report.pdf") as temporary, PdfPages(temporary, metadata={"CreationDate": None}) as pages:

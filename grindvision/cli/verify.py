@@ -17,6 +17,9 @@ MEASUREMENTS.csv has the columns that `grindvision calibrate --help` names; a co
 
 Nothing is fitted, except with --tracker-moved: then the six numbers of the tracker's place, from the same shots.
 
+results in DIR:
+  report.json      the errors of the shots, whether the limit holds, warnings, timings, versions; written last
+
 exit code: 0 the limit holds, 3 it does not, 2 the input cannot be used, 1 anything else
 
 example:

@@ -155,8 +155,8 @@ def _used_nodes(plan: GrindingPlan, after_mm: Floats, sigma_mm: Floats) -> Flags
     planned = float(sum(one.removed_mm3 for one in plan.passes))
     if removed < MIN_REMOVED * planned:
         raise InputError(
-            f"the new scan shows {removed:.3g} mm3 taken off where {planned:.3g} mm3 were planned; is it the scan after"
-            " the passes?"
+            f"the new scan shows {round(removed, 1) + 0.0:.1f} mm3 taken off where {planned:.1f} mm3 were planned; is"
+            " it the scan after the passes?"
         )
     return used
 

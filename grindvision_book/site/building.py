@@ -229,6 +229,7 @@ def _gather(
     shutil.rmtree(sources, ignore_errors=True)
     shutil.copytree(FIGURES, sources / "figures")
     shutil.copytree(figures, sources / "figures", dirs_exist_ok=True)
+    _say_what_was_committed(sources / "figures")
     board = write_scoreboard(sources / "figures")
     light = light_copies(sources / "figures")
     drawn, tables = figures_in(sources / "figures", light), tables_in(sources / "figures")
@@ -273,6 +274,12 @@ def _gather(
     for name, text in pages.items():
         (sources / name).write_text(lightened(text, light), encoding="utf-8")
     return light
+
+
+def _say_what_was_committed(folder: Path) -> None:
+    """Put into words what git calls dirty: a race was run on a commit and changes that it did not hold."""
+    for page in folder.glob("bench_*.md"):
+        page.write_text(page.read_text(encoding="utf-8").replace("-dirty", " and changes made after it"), "utf-8")
 
 
 def _gather_exercises(target: Path, exercises: Sequence[Path], address: str, in_browser: bool) -> None:

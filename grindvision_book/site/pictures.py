@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,7 +65,7 @@ def light_copies(folder: Path) -> dict[str, str]:
 
 
 def dark_copies(folder: Path, target: Path, light: Mapping[str, str]) -> None:
-    """Write each drawing as the pages show it, with light lines on a dark ground; colours with a hue stay as they are.
+    """Write each drawing as the pages show it, light lines on a dark ground; strong colours stay as they are.
 
     Args:
         folder: of the figures.
@@ -86,7 +87,8 @@ def dark_svg(svg: str) -> str:
     def turned(match: re.Match[str]) -> str:
         red, green, blue = (int(match[1][k : k + 2], 16) for k in (0, 2, 4))
         if max(red, green, blue) - min(red, green, blue) > _GREY:
-            return match[0]
+            less = round(float(_ground()[min(red, green, blue)]))
+            return f"#{red - less:02x}{green - less:02x}{blue - less:02x}" if less else match[0]
         return f"#{round(_on_dark(red)):02x}{round(_on_dark(green)):02x}{round(_on_dark(blue)):02x}"
 
     # Text with a colour of its own (a group that is moved to its place) was made for what is behind it.
@@ -148,13 +150,23 @@ def _write_animation(gif: Path, webp: Path) -> None:
     first.save(webp, save_all=True, append_images=others, duration=duration_ms, loop=0, quality=40)
 
 
+@cache
+def _ground() -> np.ndarray:
+    """How much darker a colour with a hue becomes whose least channel is 0 to 255.
+
+    A pale colour is a translucent one on white, its least channel the share of white: on the dark ground that share is
+    ``DARK``. A colour with less than half of white is one of its own and stays; in between the share grows evenly.
+    """
+    least = np.arange(256, dtype=np.float32)
+    return least * np.clip((least - 128) / 64, 0, 1) * np.float32((255 - DARK) / 255)
+
+
 def _on_dark(grey: float) -> float:
     return BRIGHT + (DARK - BRIGHT) * grey / 255
 
 
 def _darkened(picture: Image.Image) -> Image.Image:
-    """A picture (RGBA) whose greys are turned; other colours stay, but for their share of white, which is the ground
-    that a translucent band or a pale end of a colour map lets through."""
+    """A picture (RGBA) whose greys are turned, and whose other colours stay, but for the white behind pale ones."""
     from PIL import Image
 
     pixels = np.array(picture.convert("RGBA"))
@@ -162,7 +174,7 @@ def _darkened(picture: Image.Image) -> Image.Image:
     spread = np.maximum(np.maximum(*colours[:2]), colours[2]) - np.minimum(np.minimum(*colours[:2]), colours[2])
     hue = np.clip(np.arange(256, dtype=np.float32) / (2 * _GREY), 0, 1)
     gain, shift = (hue + (1 - hue) * (DARK - BRIGHT) / 255)[spread], ((1 - hue) * BRIGHT)[spread]
-    shift -= hue[spread] * np.minimum(np.minimum(*colours[:2]), colours[2]) * np.float32((255 - DARK) / 255)
+    shift -= hue[spread] * _ground()[np.minimum(np.minimum(*colours[:2]), colours[2])]
     for colour in colours:
         colour[:] = np.clip(np.rint(gain * colour + shift), 0, 255)
     return Image.fromarray(pixels, "RGBA")
