@@ -86,7 +86,7 @@ def test_a_way_round_that_the_arm_cannot_tell_is_refused():
 def test_three_spheres_give_a_pose_and_are_told_apart():
     rng, _, views = scene(9, 4)
     seen = [three_spheres_view(view, rng) for view in views]
-    found = [find_three_spheres(points, 38.1, rng, "view") for points, _ in seen]
+    found = [find_three_spheres(points, 38.1, rng, "view")[0] for points, _ in seen]
     for one, (_, centres) in zip(found, seen, strict=True):
         assert np.linalg.norm(one[:, None] - centres[None], axis=2).min(axis=1).max() < 0.3
     apart = inverse(views) @ poses_of_triples(np.array(found), ["v"] * 4)

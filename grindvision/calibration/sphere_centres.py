@@ -44,7 +44,8 @@ def find_sphere(
     used = rough.inliers.copy()
     crowded = near.copy()
     if near.any():
-        lonely = cKDTree(points[near]).query(points[near], k=min(4, int(near.sum())))[0][:, -1] > 0.2 * rough.radius_mm
+        # fewer than four have neighbours at infinity: strays, too
+        lonely = cKDTree(points[near]).query(points[near], k=4)[0][:, -1] > 0.2 * rough.radius_mm
         crowded[np.flatnonzero(near)[lonely]] = False
     if crowded.any():
         chord = 2 * np.sin(np.radians(margin_deg) / 2)
@@ -70,11 +71,20 @@ def noise_clumping(points: ArrayLike, fit: SphereFit, cells: int = 40) -> float:
     A scanner's noise is correlated and its field distorted, so 10,000 points do not average like 10,000 throws. The
     cap is split into about ``cells`` patches of nearest neighbours; at least 1 is returned.
     """
+    left = fit.distance(np.asarray(points, dtype=float))
+    if left.var() < 1e-24 or min(cells, len(left) // 10) < 8:
+        return 1.0
+    means, count = patch_means(points, fit, cells)
+    observed = (count * means**2).sum() / max(len(means) - 4, 1)
+    return float(max(observed / left.var(), 1.0))
+
+
+def patch_means(points: ArrayLike, fit: SphereFit, cells: int = 40) -> tuple[Floats, Floats]:
+    """Mean distances (K,) from a sphere over at most ``cells`` patches of nearest neighbours, of ten points and more in
+    the mean, and how many points each has (K,)."""
     points = np.asarray(points, dtype=float)
     left = fit.distance(points)
-    cells = min(cells, len(points) // 10)
-    if cells < 8 or left.var() < 1e-24:
-        return 1.0
+    cells = max(min(cells, len(points) // 10), 1)
     directions = (points - fit.centre_mm) / fit.radius_mm
     seeds = [0]
     nearest = np.linalg.norm(directions - directions[0], axis=1)
@@ -82,7 +92,6 @@ def noise_clumping(points: ArrayLike, fit: SphereFit, cells: int = 40) -> float:
         seeds.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, np.linalg.norm(directions - directions[seeds[-1]], axis=1))
     patch = cKDTree(directions[seeds]).query(directions)[1]
-    count = np.bincount(patch, minlength=cells)
-    means = np.bincount(patch, weights=left, minlength=cells)[count > 0] / count[count > 0]
-    observed = (count[count > 0] * means**2).sum() / max((count > 0).sum() - 4, 1)
-    return float(max(observed / left.var(), 1.0))
+    count = np.bincount(patch, minlength=cells).astype(float)
+    held = count > 0
+    return np.bincount(patch, weights=left, minlength=cells)[held] / count[held], count[held]

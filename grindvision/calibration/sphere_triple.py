@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.calibration.sphere_search import cut_out_sphere
+from grindvision.calibration.sphere_search import OwnDiameter, cut_out_sphere, own_diameter
 from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.geometry import fit_rigid
 
@@ -20,14 +20,18 @@ MIN_DIFFERENCE_MM, MIN_HEIGHT = 4.0, 0.1
 SAME_SIDES_MM = 2.0
 
 
-def find_three_spheres(points_camera: ArrayLike, diameter_mm: float, rng: np.random.Generator, name: str) -> Floats:
-    """Centres (3, 3) of three spheres of a diameter in a cloud (N, 3), mm, whatever else it shows.
+def find_three_spheres(
+    points_camera: ArrayLike, diameter_mm: float, rng: np.random.Generator, name: str
+) -> tuple[Floats, list[OwnDiameter]]:
+    """Centres (3, 3) of three spheres of a diameter in a cloud (N, 3), mm, whatever else it shows, and what each says of
+    its diameter.
 
     Raises:
         DegenerateError: fewer than three such spheres in it.
     """
     left = np.asarray(points_camera, dtype=float)
     centres: list[Floats] = []
+    own: list[OwnDiameter] = []
     while len(centres) < 3:
         try:
             found = cut_out_sphere(left, diameter_mm, rng, name)
@@ -39,8 +43,9 @@ def find_three_spheres(points_camera: ArrayLike, diameter_mm: float, rng: np.ran
                 " in view"
             ) from none
         centres.append(found.centre_mm)
+        own.append(own_diameter(left, found))
         left = left[np.linalg.norm(left - found.centre_mm, axis=1) > 0.6 * diameter_mm]
-    return np.array(centres)
+    return np.array(centres), own
 
 
 def poses_of_triples(centres: Floats, names: list[str]) -> Floats:

@@ -122,12 +122,15 @@ def _target_words(reading: PoseConvention) -> str:
 def _sphere(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str], seed: int) -> TargetSeen:
     import numpy as np
 
-    from grindvision.calibration.sphere_search import cut_out_sphere
+    from grindvision.calibration.sphere_search import cut_out_sphere, doubt_diameter, own_diameter
 
     streams = np.random.default_rng(seed).spawn(len(clouds))
     fits = [
         cut_out_sphere(points, diameter, rng, name) for points, rng, name in zip(clouds, streams, names, strict=True)
     ]
+    doubt = doubt_diameter([own_diameter(points, fit) for points, fit in zip(clouds, fits, strict=True)], diameter)
+    if doubt:
+        warnings.warn(doubt, GrindvisionWarning, stacklevel=2)
     sigmas = np.array([np.sqrt(np.linalg.eigvalsh(fit.centre_covariance)[-1]) for fit in fits])
     centres = np.array([fit.centre_mm for fit in fits])
     told = f"the camera knows a centre to +- {np.median(sigmas):.2g} mm in the median; what is left beyond is the arm's"
@@ -137,12 +140,17 @@ def _sphere(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str],
 def _three_spheres(diameter: float, clouds: Sequence[np.ndarray], names: Sequence[str], seed: int) -> TargetSeen:
     import numpy as np
 
+    from grindvision.calibration.sphere_search import doubt_diameter
     from grindvision.calibration.sphere_triple import find_three_spheres, poses_of_triples
 
     found, rows = _where_found(
         lambda row, rng: find_three_spheres(clouds[row], diameter, rng, names[row]), len(clouds), seed
     )
-    return TargetSeen(poses_of_triples(np.array(found), [names[row] for row in rows]), np.array(rows))
+    doubt = doubt_diameter([one for _, own in found for one in own], diameter)
+    if doubt:
+        warnings.warn(doubt, GrindvisionWarning, stacklevel=2)
+    centres = np.array([three for three, _ in found])
+    return TargetSeen(poses_of_triples(centres, [names[row] for row in rows]), np.array(rows))
 
 
 def _plate(
