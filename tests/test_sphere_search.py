@@ -7,7 +7,6 @@ from grindvision.calibration.sphere_centres import find_sphere
 from grindvision.calibration.sphere_search import cut_out_sphere, doubt_diameter, own_diameter
 from grindvision.cli import main
 from grindvision.errors import DegenerateError
-from tests.hand_eye_scene import sphere_view
 from tests.test_hand_eye import folder_of_views
 
 CENTRE = np.array([10.0, -20.0, 400.0])

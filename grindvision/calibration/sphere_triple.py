@@ -23,8 +23,8 @@ SAME_SIDES_MM = 2.0
 def find_three_spheres(
     points_camera: ArrayLike, diameter_mm: float, rng: np.random.Generator, name: str
 ) -> tuple[Floats, list[OwnDiameter]]:
-    """Centres (3, 3) of three spheres of a diameter in a cloud (N, 3), mm, whatever else it shows, and what each says of
-    its diameter.
+    """Centres (3, 3) of three spheres of a diameter in a cloud (N, 3), mm, whatever else it shows, and the diameter
+    that each has by its own points.
 
     Raises:
         DegenerateError: fewer than three such spheres in it.
