@@ -266,6 +266,32 @@ def test_the_command_writes_its_set_and_refuses_without_writing(tmp_path, capsys
     }  # fmt: skip
 
 
+def test_a_camera_known_less_well_than_is_asked_for_ends_with_exit_code_3(tmp_path, capsys):
+    rng = np.random.default_rng(16)
+    poses = looking_poses(rng, 9)
+    target = seen_poses(poses, rng, arm_mm=0.2, arm_rad=5e-4)
+    np.savetxt(tmp_path / "poses.txt", rows_of(poses), fmt="%.9f")
+    np.savetxt(tmp_path / "board.txt", rows_of(target, "rotation-vector", degrees=False), fmt="%.9f")
+    words = ["hand-eye", str(tmp_path / "poses.txt"), str(tmp_path / "board.txt"), "--rotation", "fanuc"]
+    words += ["--target", "poses", "--target-rotation", "rotation-vector", "-o", str(tmp_path / "camera")]
+    assert main([*words, "--require-mm", "-1"]) == 2
+    assert "--require-mm is -1" in capsys.readouterr().err and not (tmp_path / "camera").exists()
+    assert main(words) == 0
+    known = json.loads((tmp_path / "camera" / "report.json").read_text())["known_to"]
+    needed = max(known["place_mm"], known["target_mm"])
+    capsys.readouterr()
+    asked = {
+        ("--require-mm", f"{1.01 * needed:.6f}", "--require-deg", f"{1.01 * known['rotation_deg']:.6f}"): 0,
+        ("--require-mm", f"{0.99 * needed:.6f}"): 3,
+        ("--require-deg", f"{0.99 * known['rotation_deg']:.6f}"): 3,
+    }
+    for more, code in asked.items():
+        (tmp_path / "camera" / "hand_eye.json").unlink(missing_ok=True)
+        assert main([*words, *more]) == code
+        assert (tmp_path / "camera" / "hand_eye.json").exists()
+        assert (f"({more[0]})" in capsys.readouterr().err) == (code == 3)
+
+
 def folder_of_parts(folder, mounted="on-arm", n=5, **kind):
     rng = np.random.default_rng(13)
     poses = looking_poses(rng, n)

@@ -1,5 +1,6 @@
 """A hand-eye fit over kinds of errors: like the plain mixture, sigmas that hold, small changes that move it little."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from grindvision.arm import forward, read_arm
 from grindvision.calibration.hand_eye import HandEyeOptions, hand_eye
 from grindvision.calibration.hand_eye_average import ARM, CAMERA, DEPTH, LENGTHS_RAD, Linear, average
+from grindvision.calibration.hand_eye_fit import FitOptions, fit, left_out_mm
 from grindvision.data_files import data_folder
 from grindvision.geometry import inverse, rigid
 from tests.hand_eye_scene import TARGET, X, looking_poses, seen_poses
@@ -17,36 +19,54 @@ from tests.hand_eye_scene import TARGET, X, looking_poses, seen_poses
 def a_fit(rng, n=7):
     """A linearised fit of made-up numbers in the shapes of a real one."""
     arm = np.concatenate([rng.normal(size=(n, 3, 3)) * 200, np.tile(np.eye(3), (n, 1, 1))], axis=1)
-    axis = np.concatenate([rng.normal(size=(n, 3)), np.zeros((n, 3))], axis=1)
-    white = np.stack(
-        [np.tile(np.diag([1.0, 1, 1, 0, 0, 0]), (n, 1, 1)), axis[:, :, None] * axis[:, None] / (axis**2).sum()]
-    )
+    axis = rng.normal(size=(n, 3))
+    white = np.stack([np.tile(np.eye(3), (n, 1, 1)), axis[:, :, None] * axis[:, None] / (axis**2).sum()])
     apart = np.abs(np.subtract.outer(*[np.linspace(0, 0.8, n)] * 2))
     scale = np.repeat([1.0, 0.003], 3)
     rows, J = rng.normal(size=(n, 6)) * scale, rng.normal(size=(n, 6, 12)) * scale[:, None]
     return Linear(rows, J, arm, white, rng.uniform(0.5, 1, n), apart, 350.0)
 
 
+def of_a_point(fit):
+    """The same fit with the place alone, whose least squares is stated."""
+    J, n = fit.J[:, :3, :9], len(fit.rows)
+    return replace(
+        fit,
+        rows=fit.rows[:, :3],
+        J=J,
+        arm=fit.arm[:, :3],
+        weights=np.ones(n),
+        solution=np.linalg.pinv(J.reshape(-1, 9)).reshape(9, n, 3),
+    )
+
+
 def plainly(fit):
     """``average`` with the covariance of all residuals written out, kind by kind."""
-    n, root = len(fit.rows), np.sqrt(np.repeat(fit.weights, 6))
-    r, J = root * fit.rows.ravel(), root[:, None] * fit.J.reshape(-1, 12)
-    freedom = 6 * fit.weights.sum() - 12
+    (n, size), unknowns = fit.rows.shape, fit.J.shape[2]
+    root = np.sqrt(np.repeat(fit.weights, size))
+    r, J = root * fit.rows.ravel(), root[:, None] * fit.J.reshape(-1, unknowns)
+    freedom = size * fit.weights.sum() - unknowns
     logs, changes, covariances = [], [], []
-    for length, depth, camera, arm in product(LENGTHS_RAD, DEPTH, CAMERA / fit.lever_mm, ARM / fit.lever_mm):
-        V = np.zeros((n, 6, n, 6))
+    cameras = CAMERA / fit.lever_mm if size == 6 else [0.0]
+    for length, depth, camera, arm in product(LENGTHS_RAD, DEPTH, cameras, ARM / fit.lever_mm):
+        V = np.zeros((n, size, n, size))
         for i, j in product(range(n), repeat=2):
             like = float(i == j) if length == 0 else np.exp(-0.5 * (fit.apart_rad[i, j] / length) ** 2)
             if length > 0:
                 like *= np.sqrt(fit.weights[i] * fit.weights[j])
             V[i, :, j] = arm**2 * like * fit.arm[i] @ fit.arm[j].T
             if i == j:
-                V[i, :, j] += fit.white[0, i] + depth**2 * fit.white[1, i] + camera**2 * np.diag([0, 0, 0, 1, 1, 1])
-        W = np.linalg.inv(V.reshape(6 * n, 6 * n))
+                V[i, :3, j, :3] += fit.white[0, i] + depth**2 * fit.white[1, i]
+                V[i, 3:, j, 3:] += camera**2 * np.eye(size - 3)
+        V = V.reshape(size * n, size * n)
+        W = np.linalg.inv(V)
         C = np.linalg.inv(J.T @ W @ J)
         change = -C @ J.T @ W @ r
         left = (r + J @ change) @ W @ (r + J @ change)
         logs.append(0.5 * (np.linalg.slogdet(W)[1] + np.linalg.slogdet(C)[1] - freedom * np.log(left)))
+        if fit.solution is not None:
+            A = fit.solution.reshape(unknowns, -1)
+            change, C = np.zeros(unknowns), A @ V @ A.T
         changes.append(change)
         covariances.append(C * left / (freedom - 2))
     p = np.exp(np.array(logs) - max(logs))
@@ -57,8 +77,10 @@ def plainly(fit):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_as_unknowns_give_what_their_covariance_written_out_gives(seed):
+@pytest.mark.parametrize("point", [False, True])
+def test_errors_as_unknowns_give_what_their_covariance_written_out_gives(seed, point):
     fit = a_fit(np.random.default_rng(seed))
+    fit = of_a_point(fit) if point else fit
     found = average(fit)
     change, covariance = plainly(fit)
     sigma = np.sqrt(np.diag(covariance))
@@ -110,6 +132,27 @@ def test_stated_sigmas_hold_over_many_sequences(kind):
     assert (in_sigmas < 3).mean() >= 0.97
 
 
+@pytest.mark.parametrize("mounted", ["on-arm", "fixed"])
+def test_stated_sigmas_of_a_sphere_hold_over_many_sequences(mounted):
+    """Errors of the arm's rotation move the sphere over the lever to it: more than errors of the place alone would."""
+    off = []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 24])
+        n = int(rng.integers(8, 15))
+        carrier = looking_poses(rng, n)
+        shown = carrier if mounted == "on-arm" else inverse(carrier)
+        true = shown @ small_motions(rng, n, rng.uniform(0.05, 0.5), np.radians(rng.uniform(0.02, 0.13)))
+        truly = true if mounted == "on-arm" else inverse(true)
+        seen = (inverse(truly @ X) @ rigid(None, TARGET))[:, :3, 3] + rng.uniform(0.02, 0.15) * rng.normal(size=(n, 3))
+        found = hand_eye(shown, seen, HandEyeOptions(mounted))
+        turn = Rotation.from_matrix(found.T_parent_camera[:3, :3] @ X[:3, :3].T).as_rotvec()
+        change = np.concatenate([found.T_parent_camera[:3, 3] - X[:3, 3], turn])
+        off.append(np.abs(change) / np.sqrt(np.diag(found.covariance)))
+    in_sigmas = np.array(off)
+    assert 0.6 <= (in_sigmas < 1).mean() <= 0.76
+    assert (in_sigmas < 3).mean() >= 0.97
+
+
 def test_small_changes_of_the_data_move_the_camera_by_a_part_of_its_sigma():
     for seed in range(12):
         rng = np.random.default_rng([seed, 23])
@@ -132,3 +175,17 @@ def test_the_frame_in_which_the_target_rests_changes_nothing(mounted):
     one, two = (hand_eye(these, seen, HandEyeOptions(mounted)) for these in (given, other))
     assert np.abs(one.T_parent_camera - two.T_parent_camera).max() < 1e-4 * np.linalg.norm(TARGET)
     assert np.abs(one.covariance - two.covariance).max() < 1e-3 * np.abs(one.covariance).max()
+
+
+def test_a_pose_left_out_in_one_step_is_what_a_fit_without_it_gives():
+    for seed, points in ((0, False), (1, True)):
+        rng = np.random.default_rng([seed, 25])
+        poses = looking_poses(rng, 9)
+        seen = seen_poses(poses, rng, arm_mm=0.5, arm_rad=np.radians(0.1))
+        seen = seen[:, :3, 3] if points else seen
+        found = fit(poses, seen, X, FitOptions(noise=not points))
+        stated = left_out_mm(poses, seen, found, True)
+        for row in range(9):
+            keep = np.where(np.arange(9) == row, 1e-9, found.weights)
+            left = fit(poses, seen, found.X, FitOptions(iterations=20, keep=keep, sizes=found.sizes))
+            assert stated[row] == pytest.approx(np.linalg.norm(left.place[row]), rel=0.03, abs=0.01)

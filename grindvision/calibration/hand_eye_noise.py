@@ -80,14 +80,16 @@ def estimate(rows: Floats, J: Floats, made: Floats, weights: Floats, sizes: Floa
     place, turn = (max(float(np.median((part**2).sum(axis=1))) / 3, 1e-24) for part in (rows[:, :3], rows[:, 3:]))
     usual = np.array([place, place, turn / 2, turn / 2])
     sizes = usual.copy() if sizes is None else sizes.copy()
+    flat = made.reshape(len(made), -1)
     for _ in range(ROUNDS):
-        inverse = np.linalg.inv(np.einsum("k,knij->nij", sizes, made)) * weights[:, None, None]
+        inverse = np.linalg.inv((sizes @ flat).reshape(made.shape[1:])) * weights[:, None, None]
         weighted = inverse @ J
-        information = np.linalg.pinv(np.einsum("nki,nkj->ij", J, weighted), hermitian=True)
-        change = information @ np.einsum("nki,nk->i", weighted, rows)
-        shown = np.einsum("nij,nj->ni", inverse, rows - J @ change)
+        stacked = weighted.reshape(-1, J.shape[2])
+        information = np.linalg.pinv(J.reshape(stacked.shape).T @ stacked, hermitian=True)
+        change = information @ (stacked.T @ rows.ravel())
+        shown = (inverse @ (rows - J @ change)[..., None])[..., 0]
         projector = inverse - weighted @ information @ weighted.swapaxes(1, 2)
-        seen = np.einsum("ni,knij,nj->k", shown, made, shown, optimize=True)
-        expected = np.einsum("nij,knji->k", projector, made, optimize=True)
+        seen = flat @ (shown[:, :, None] * shown[:, None, :]).ravel()
+        expected = flat @ projector.ravel()
         sizes = np.maximum(sizes * np.sqrt(seen / np.maximum(expected, 1e-300)), MIN_FRACTION * usual)
     return sizes

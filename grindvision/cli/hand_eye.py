@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import DOUBT, add_convention_arguments, camera_content, stated_convention
 from grindvision.cli.hand_eye_targets import TargetSeen, given_poses, read_target, see_target
+from grindvision.cli.parameters import number
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans
 from grindvision.errors import GrindvisionWarning, InputError
@@ -46,7 +47,8 @@ the arm itself: one sphere at rest in many poses also calibrates it, without a t
 the joint angles, the centres as sx_mm, sy_mm, sz_mm and the sphere's name in column socket; what such data cannot know
 keeps its prior and is said.
 
-exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
+exit code: 0 done, 3 done, but the camera is not known to --require-mm or --require-deg, 2 the input cannot be used (one
+line says why), 1 anything else
 
 example:
   grindvision hand-eye poses.txt view*.ply --rotation ur --pose-unit m --target sphere:38.1 -o camera
@@ -80,12 +82,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument("--target-angles", choices=("deg", "rad"), help="unit of their Euler angles")
     how.add_argument("--target-unit", choices=("mm", "m"), help="unit of their positions (default mm)")
     parser.add_argument("--seed", type=int, default=0, help="of the random draws (default 0)")
+    parser.add_argument(
+        "--require-mm",
+        type=number,
+        metavar="MM",
+        help="end with exit code 3 unless the camera's place, and a point where the target was, are known to this"
+        " standard deviation in every direction",
+    )
+    parser.add_argument(
+        "--require-deg", type=number, metavar="DEG", help="the same of the camera's rotation about every axis"
+    )
     add_output_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run it."""
     kind, sizes = read_target(options.target)
+    for option, least in (("--require-mm", options.require_mm), ("--require-deg", options.require_deg)):
+        if least is not None and not 0 < least < 1e6:
+            raise InputError(f"{option} is {least}; give a standard deviation above zero")
     from grindvision.calibration.hand_eye import FEWEST_POINTS, FEWEST_POSES, HandEyeOptions, hand_eye
     from grindvision.calibration.hand_eye_advice import poorly_known
     from grindvision.calibration.hand_eye_checks import (
@@ -122,7 +137,8 @@ def run(options: argparse.Namespace) -> int:
             repeated = check_pose_rows(poses)
             refuse_implausible(found, repeated)
             doubt = poorly_known(found, poses, seen.target)
-        for text in [*repeated, *outliers(found, names), *filter(None, [doubt])]:
+            lacking = _lacking(found, seen.target, options)
+        for text in [*repeated, *outliers(found, names), *filter(None, [doubt, lacking])]:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
             _write(found, stated, names, doubt, work.place)
@@ -131,7 +147,25 @@ def run(options: argparse.Namespace) -> int:
         work.report(
             str(found), _results(found, seen), {"convention": str(stated)}, shown=told, questions=[_where(found)]
         )
-    return 0
+    return 3 if lacking else 0
+
+
+def _lacking(found: HandEye, target: np.ndarray, options: argparse.Namespace) -> str:
+    """In words, what is known less well than ``--require-mm`` and ``--require-deg`` ask for; empty where nothing is."""
+    from grindvision.calibration.hand_eye_advice import knowledge
+
+    known = knowledge(found, target)
+    asked = (
+        (known.place_mm, options.require_mm, "the camera's place", "mm"),
+        (known.target_mm, options.require_mm, "a point where the target was", "mm"),
+        (known.rotation_deg, options.require_deg, "the camera's rotation", "deg"),
+    )
+    told = [
+        f"{what} is known to {sigma:.2g} {unit}, not to {least:g} (--require-{unit})"
+        for sigma, least, what, unit in asked
+        if least is not None and not sigma <= least
+    ]
+    return "; ".join(told)
 
 
 def _told_errors(found: HandEye) -> list[str]:
