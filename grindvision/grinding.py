@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points, inverse, move_points
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
+from grindvision.motion.grinding_beside import check_beside
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -28,6 +30,9 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STAGES = (*scan_registration.STAGES, "difference", "stock", "passes")
+
+STANDS_OUT_MM = 1.0
+"""Points so near to one that stands out are of the stock, or of its foot."""
 
 MAX_HIDDEN = 0.5
 """A piece whose area is hidden by more than this fraction is interpolated rather than measured."""
@@ -132,7 +137,9 @@ def grind(
             if of in compared.doubted:
                 raise InputError(compared.doubted[of])
             check_visible(piece)
-            plans.append(plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes))
+            plan = plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes)
+            check_beside(plan, without_stock(test, compared.difference))
+            plans.append(plan)
         except InputError as error:
             refusals[number] = str(error)
             plans.append(None)
@@ -153,6 +160,14 @@ def grind(
 def against_grinding(compared: Comparison) -> tuple[str, ...]:
     """What speaks against the comparison, in words, less what is said of the stock's pits."""
     return tuple(one for one in compared.diagnose() if "material is missing" not in one)
+
+
+def without_stock(points: ArrayLike, difference: Difference) -> Floats:
+    """Points (N, 3) of a scan, or its model, that are not among those that stand out."""
+    points = np.asarray(points, dtype=float)
+    if len(difference.points) == 0:
+        return points
+    return points[cKDTree(difference.points).query(points, distance_upper_bound=STANDS_OUT_MM)[0] > STANDS_OUT_MM]
 
 
 def check_visible(piece: StockPiece) -> None:

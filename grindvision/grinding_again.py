@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, rotate_vectors
-from grindvision.grinding import GrindOptions, against_grinding, workpiece
+from grindvision.grinding import GrindOptions, against_grinding, without_stock, workpiece
 from grindvision.grinding_files import GrindingJob
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, plan_grinding
+from grindvision.motion.grinding_beside import check_beside
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.motion.removal import LearntRemoval, learn_removal
 from grindvision.parallel import one_blas_thread
@@ -126,7 +127,9 @@ def grind_again(
             work = replace(work, keep=old.work.keep, centreline_mm=old.work.centreline_mm)
             work = replace(work, offset_mm=offset, offset_sigma_mm=sigma)
         try:
-            plans[-1] = plan_grinding(work, passes)
+            plan = plan_grinding(work, passes)
+            check_beside(plan, without_stock(new, compared.difference))
+            plans[-1] = plan
         except InputError as error:
             warnings.warn(f"the rest of piece {number} is not ground: {error}", GrindvisionWarning, stacklevel=2)
     clock.lap("passes")

@@ -117,6 +117,8 @@ def test_another_good_scan_is_refused(folder, capsys, tmp_path):
         (["good.ply", "test.ply"], "-o DIR is missing"),
         (["good.ply", "test.ply", "-o", "x", "--depth", "0.01"], "below the level of detection"),
         (["good.ply", "test.ply", "-o", "x", "--depth", "nan"], "--depth"),
+        (["good.ply", "test.ply", "-o", "x", "--depth", "0.3", "--width", "200"], "wider than the place: on its way"),
+        (["good.ply", "test.ply", "-o", "x", "--depth", "0.3", "--wheel", "2000"], "wider than the place: on its way"),
         (["test.ply", "good.ply", "-o", "x"], "a pit is never ground"),
         (["good.ply", "good.ply", "-o", "x"], "nothing to grind"),
         (["good.ply", "test.ply", "-o", "x", "--keep-out", "test.ply"], "closes the stock on all sides"),

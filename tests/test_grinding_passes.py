@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from grindvision.errors import InputError
+from grindvision.geometry import move_points
 from grindvision.geometry.height_map import HeightMap
 from grindvision.motion.grinding import plan_grinding, preston_depth, simulate_passes
+from grindvision.motion.grinding_beside import check_beside
 from grindvision.motion.grinding_contact import envelope_of, lifts_over, nodes_of, tool_shape
 from grindvision.motion.grinding_lines import _signed_distance
 from grindvision.motion.grinding_options import PATTERNS, GrindingOptions
@@ -174,6 +176,29 @@ def test_what_must_stay_is_kept_clear_of():
 def test_what_cannot_be_ground_is_named_in_one_line(work, options, said):
     with pytest.raises(InputError, match=said) as refusal:
         plan_grinding(flat_work(**work), GrindingOptions(**options))
+    assert "\n" not in str(refusal.value)
+
+
+def wall(work, away_mm, high_mm, rng):
+    """Points of a scan of flat ground around a map and of a wall along its x axis, beside the middle of the map."""
+    across = work.heights.y_mm[-1] / 2
+    ground = np.column_stack([rng.uniform(-100, 160, (20_000, 2)), 0.03 * rng.normal(size=20_000)])
+    x, z = rng.uniform(-40, 100, 4000), rng.uniform(0, high_mm, 4000)
+    side = np.column_stack([x, np.full(4000, across + away_mm), z])
+    return move_points(work.heights.T_scan_map, np.vstack([ground, side]))
+
+
+@pytest.mark.parametrize(
+    ("options", "reach_mm"), [({"width_mm": 6.0}, 3.0), ({"width_mm": 80.0}, 40.0), ({"tool": "disc"}, 20.0)]
+)
+def test_a_tool_that_would_run_into_a_wall_beyond_the_map_is_refused(options, reach_mm):
+    work, rng = flat_work(), np.random.default_rng(0)
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, leave_mm=0.05, **options))
+    tips = np.vstack([stroke.poses for stroke in plan.passes[-1].strokes])
+    reach_mm += np.abs(tips[:, 1] - work.heights.y_mm[-1] / 2).max()
+    check_beside(plan, wall(work, reach_mm + 3.0, 15.0, rng))
+    with pytest.raises(InputError, match="wider than the place: on its way") as refusal:
+        check_beside(plan, wall(work, reach_mm - 1.0, 15.0, rng))
     assert "\n" not in str(refusal.value)
 
 

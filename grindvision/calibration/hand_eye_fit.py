@@ -72,7 +72,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
             sizes = estimate(rows, J, made, weights, sizes)
         rows, J = _whitened(carrier, target, X, rows, J, replace(options, sizes=sizes))
         if options.robust and options.keep is None:
-            weights = _weights(np.linalg.norm(rows, axis=1), columns.stop)
+            weights = _weights(np.linalg.norm(rows, axis=1))
         root = np.sqrt(weights)
         A = (root[:, None, None] * J)[..., columns].reshape(-1, columns.stop)
         change = np.zeros(12)
@@ -90,7 +90,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
 
 
 def averaged(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -> HandEyeFit:
-    """A fit taken on to the mean over what its errors may be, see ``hand_eye_average``; of a point, its covariance.
+    """A fit to poses of a target, taken on to the mean over what its errors may be, see ``hand_eye_average``.
 
     The target's place is then the mean of where the poses put it: errors that all poses share cannot be told from it.
     """
@@ -98,8 +98,6 @@ def averaged(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -
     for _ in range(AVERAGED):
         rows, J = _linearised(carrier, target, X, Y)
         mixed = average(linear(carrier, target, X, on_arm, rows, J, found.weights))
-        if target.ndim == 2:
-            return replace(found, covariance=mixed.covariance[:6, :6], shared=mixed.shared)
         X, Y = _moved(X, mixed.change[:6]), _moved(Y, mixed.change[6:])
     seen, weights = carrier @ X @ target, found.weights / found.weights.sum()
     Y = rigid(nearest_rotation(np.tensordot(weights, seen[:, :3, :3], 1)), weights @ seen[:, :3, 3])
@@ -131,22 +129,30 @@ def weighted_jacobian(
 def left_out_mm(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -> Floats:
     """How far off (N,), mm, each pose puts the target by the place of camera and target that the others give.
 
-    One step of the least squares without the pose, from the fit to all: what it takes away of the normal equations.
+    For poses of a target it is one step of the least squares, from the fit to all, without the pose's part of the
+    normal equations. A point tells the camera's rotation poorly, so that one pose less may turn it far: it is fitted.
     """
+    if target.ndim == 2:
+        return np.array([_left_out(carrier, target, found, row, on_arm) for row in range(len(carrier))])
     options = FitOptions(on_arm, sizes=found.sizes)
     rows, J = _whitened(carrier, target, found.X, *_linearised(carrier, target, found.X, found.Y), options)
-    J = J[..., :9] if target.ndim == 2 else J
     weighted = np.maximum(found.weights, 1e-9)[:, None, None] * J
     normal = weighted.swapaxes(1, 2) @ J
     right = np.einsum("nik,ni->nk", weighted, rows)
     inverted = np.linalg.pinv(normal.sum(axis=0) - normal, hermitian=True)
     changes = -np.einsum("nij,nj->ni", inverted, right.sum(axis=0) - right)
-    changes = np.pad(changes, ((0, 0), (0, 12 - changes.shape[1])))
     left = np.empty(len(carrier))
     for row, change in enumerate(changes):
         X, Y = _moved(found.X, change[:6]), _moved(found.Y, change[6:])
         left[row] = np.linalg.norm(residuals(carrier[row : row + 1], target[row : row + 1], X, Y)[0])
     return left
+
+
+def _left_out(carrier: Floats, target: Floats, found: HandEyeFit, row: int, on_arm: bool) -> float:
+    keep = np.maximum(found.weights, 1e-9)
+    keep[row] = 0.0
+    left = fit(carrier, target, found.X, FitOptions(on_arm, iterations=8, keep=keep, sizes=found.sizes))
+    return float(np.linalg.norm(left.place[row]))
 
 
 def _linearised(carrier: Floats, target: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats]:
@@ -178,13 +184,9 @@ def _whitened(
     return whitened[..., 0], whitened[..., 1:]
 
 
-def _weights(sizes: Floats, unknowns: int) -> Floats:
-    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding.
-
-    The fit takes up a part of the errors, of few points a large one: so much larger they were.
-    """
-    taken_up = min(unknowns / (3 * len(sizes)), 0.5) if unknowns == 9 else 0.0
-    scale = max(float(np.median(sizes)) / 1.54 / np.sqrt(1 - taken_up), 1e-6)
+def _weights(sizes: Floats) -> Floats:
+    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding."""
+    scale = max(float(np.median(sizes)) / 1.54, 1e-6)
     return np.clip(1 - (sizes / (6.0 * scale)) ** 2, 0.0, 1.0) ** 2
 
 

@@ -142,3 +142,27 @@ def envelope_of(nodes: Nodes, poses: Floats, lifts: Floats, shape: ToolShape) ->
                 if height < lowest[i, j]:
                     lowest[i, j] = height
     return lowest
+
+
+@njit(cache=True, nogil=True)
+def reach_into(points: Floats, poses: Floats, lifts: Floats, shape: ToolShape) -> Floats:
+    """How deep (M,) the tool comes over points (M, 3) of the map's frame on its way through poses (K, 12) at lifts
+    (K,): their heights over its lower surface, where they lie no higher than its axle is high twice; minus infinity
+    beside its way."""
+    deep = np.full(len(points), -np.inf)
+    for k in range(len(poses)):
+        pose = poses[k]
+        for m in range(len(points)):
+            x = y = z = 0.0
+            for axis in range(3):
+                away = points[m, axis] - pose[axis]
+                x += away * pose[3 + axis]
+                y += away * pose[6 + axis]
+                z += away * pose[9 + axis]
+            above = z - lifts[k]
+            if above > 2 * shape.radius_mm:
+                continue
+            depth = above - _lower(x, y, shape)
+            if depth > deep[m]:
+                deep[m] = depth
+    return deep
