@@ -110,9 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scans.add_argument("--seed", type=whole, default=0, metavar="N", help="seed of the random draws (default: 0)")
     wheel = parser.add_argument_group("wheel and cut")
     kind = wheel.add_mutually_exclusive_group()
-    kind.add_argument(
-        "--wheel", type=number, metavar="MM", help="radius of a wheel that grinds with its rim (default: 20)"
-    )
+    kind.add_argument("--wheel", type=number, metavar="MM", help="radius of a wheel cutting with its rim (default: 20)")
     kind.add_argument("--disc", type=number, metavar="MM", help="radius of a disc that grinds with its tilted face")
     wheel.add_argument("--width", type=number, metavar="MM", help="width of the wheel (default: 6)")
     wheel.add_argument("--contact-angle", type=number, metavar="DEG", help="of the disc to the surface (default: 15)")
