@@ -103,6 +103,11 @@ def test_one_body_is_not_taken_for_two(kind, change):
     assert find_moved_body(found.source, found.target, found.fine, difference) is None
 
 
+def test_one_file_given_twice_holds_one_body():
+    (sample, _), _, _, _ = scanned(5, 0.0, 0.0, True)
+    assert detect(sample, sample).beads == ()
+
+
 def test_a_part_that_was_not_moved_on_its_table_is_judged_with_it():
     (sample, test), poses, _, _ = scanned(5, 0.0, 0.0, True)
     found = detect(sample, test)

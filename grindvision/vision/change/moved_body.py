@@ -24,7 +24,8 @@ from grindvision.vision.surface.scan import Scan
 Floats = NDArray[np.float64]
 
 SPREADS = 4.0
-"""Surfaces that are farther apart than so many standard deviations of the residuals at the pose disagree."""
+"""Surfaces that are farther apart than so many standard deviations of the residuals at the pose, and than the level of
+detection, disagree."""
 
 REACH_CELLS = 6.0
 """A body is sought within so many cells of where each start puts it."""
@@ -83,7 +84,8 @@ def find_moved_body(
     residuals, facing = plane_residuals(surfels.points, surfels.normals, target.surfels, pose, 3 * cell)
     if not facing.any():
         return None
-    within = SPREADS * 1.4826 * float(np.median(np.abs(residuals[facing])))
+    spread = 1.4826 * float(np.median(np.abs(residuals[facing])))
+    within = max(SPREADS * spread, difference.level_of_detection_mm)
     apart = np.abs(difference.signed_mm) > within  # NaN is not
     even = surfels.excess_mm2 <= within**2  # a plane through an edge is none
     disagree = apart & even & ~(facing & (np.abs(residuals) <= within))
