@@ -76,6 +76,17 @@ def box_corner(rng, noise_mm=0.1, length=60.0, spacing=1.0):
     return noisy(np.concatenate(faces), rng, noise_mm)
 
 
+def two_tubes(rng, radius=30.0, into=4.0, spacing=0.8, noise_mm=0.1, span=1.3):
+    """Two tubes along x side by side that run ``into`` each other, seen from 400 mm above their tops."""
+    angle, along = np.meshgrid(np.arange(-span, span, spacing / radius), np.arange(-60.0, 60.0, spacing))
+    parts = []
+    for side in (-1.0, 1.0):
+        tube = np.stack([along, radius * np.sin(angle), radius * np.cos(angle)], axis=-1).reshape(-1, 3)
+        tube = tube + [0.0, side * (radius - into / 2), 0.0]
+        parts.append(tube[side * tube[:, 1] > 0])
+    return noisy(np.concatenate(parts), rng, noise_mm)
+
+
 def turned(points, rng, tilt_rad=0.5):
     """The points turned by up to ``tilt_rad`` and moved, with the rotation and the translation."""
     axis = rng.standard_normal(3)

@@ -21,6 +21,7 @@ from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 from tests.groove_scenes import cloud, grid, straight_groove, vee
 from tests.hand_eye_scene import TARGET, looking_poses, seen_points, sphere_view
+from tests.seam_scenes import corner, two_tubes
 from tests.test_hand_eye import folder_of_parts
 from tests.test_merge import folder_of
 from tests.test_moved_body import scanned as part_on_table
@@ -293,6 +294,19 @@ def shiny(folder):
     rng = np.random.default_rng(1)
     points, inside = straight_groove(rng, spacing_mm=0.4)
     return seam(folder, points[~inside | (rng.random(len(points)) < 0.2)])
+
+
+@mistake("A seam is followed in part")
+def behind_a_hole(folder):
+    points = corner(np.random.default_rng(1), length=112.0)
+    hole = (points[:, 0] > 0) & (points[:, 0] < 42)
+    return [*seam(folder, points[~hole]), "--viewpoint", 20, -220, 320]
+
+
+@mistake("T-joint or tubes")
+def narrow_tubes(folder):
+    points = two_tubes(np.random.default_rng(20), 20.0, 6.0, noise_mm=0.25)
+    return [*seam(folder, points), "--viewpoint", 0, 0, 420]
 
 
 def sphere_from(folder: Path, poses: np.ndarray, angles: str) -> list[object]:

@@ -19,8 +19,12 @@ PLANE, CYLINDER, FREE_FORM = "plane", "cylinder", "free form"
 
 #: Surfels up to so many cells from the seam show the shape of a face.
 REACH_CELLS = 8.0
-#: A face is a plane while its surfels keep within so many times the noise, or this fraction of their extent, of one.
-PLANE_NOISE, PLANE_FRACTION = 1.0, 0.02
+#: A face is a plane while an arc turns by at most this over its extent (the waviness of a plate that a camera shows
+#: turns by half of it, a tube by several times), or does not explain the surfels better: by this logarithm of the ratio
+#: of likelihoods, of every second surfel, as neighbours share points and errors.
+PLANE_TURN_RAD, MIN_LOG_RATIO, ALIKE = np.radians(12.0), 5.0, 2
+#: A plane may bend as much as its curvature and so many standard deviations allow.
+SURE_DEVIATIONS = 2.0
 #: A cylinder leaves at most this fraction of what a plane leaves.
 CYLINDER_FRACTION = 0.35
 #: A free form bulges if an arc leaves less than this fraction of what a plane leaves.
@@ -37,13 +41,15 @@ MIN_SURFELS = 8
 class FaceShape:
     """Shape of a face: ``name`` is plane, cylinder or free form; a cylinder has ``radius_mm`` and ``axis`` (3,).
 
-    ``bulges`` says that the face bends away from the side that is seen, like a tube's outside.
+    ``bulges`` says that the face bends away from the side that is seen, like a tube's outside; ``may_bulge`` that a
+    plane may do so as well, for all that its noise tells.
     """
 
     name: str
     radius_mm: float = np.inf
     axis: tuple[float, float, float] | None = None
     bulges: bool = False
+    may_bulge: bool = False
 
     def __str__(self) -> str:
         return f"cylinder of radius {self.radius_mm:.3g} mm" if self.name == CYLINDER else self.name
@@ -61,9 +67,16 @@ class Surroundings:
 
 def face_shapes(fit: JointFit, surfels: Surfels, normals: Floats) -> tuple[FaceShape, FaceShape]:
     """Shapes of the two faces, from the surfels (M) with normals (M, 3) that lie on them near the seam."""
+    noise = float(np.median(surfels.noise_mm))
+    first, second = (_shape(points, facing, noise) for points, facing in face_surfels(fit, surfels, normals))
+    return first, second
+
+
+def face_surfels(fit: JointFit, surfels: Surfels, normals: Floats) -> list[tuple[Floats, Floats]]:
+    """Places and normals (K, 3) of the surfels on each of the two faces near the seam."""
     size = surfels.grid.size_mm
     station, offset, near = _near(fit, surfels, REACH_CELLS * size)
-    shapes = []
+    found = []
     for side in range(2):
         outward = (offset * fit.faces.outward[side, station]).sum(axis=1)
         other = (offset * fit.faces.outward[1 - side, station]).sum(axis=1)
@@ -71,8 +84,8 @@ def face_shapes(fit: JointFit, surfels: Surfels, normals: Floats) -> tuple[FaceS
         facing = vector_angle(normals[near], fit.faces.normal[side, station])
         on = (outward > max(other.min(initial=0.0), 1.5 * size)) & (outward > other)
         on &= (np.abs(height) < 0.5 * outward) & (facing < np.radians(50))
-        shapes.append(_shape(surfels.points[near[on]], normals[near[on]], float(np.median(surfels.noise_mm))))
-    return shapes[0], shapes[1]
+        found.append((surfels.points[near[on]], normals[near[on]]))
+    return found
 
 
 def surroundings(fit: JointFit, surfels: Surfels, normals: Floats, towards: Floats | None) -> Surroundings:
@@ -127,9 +140,6 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     centred = points - points.mean(axis=0)
     values = np.linalg.svd(centred, compute_uv=False)
     flat = float(values[2] / np.sqrt(len(points)))
-    extent = float(values[0] / np.sqrt(len(points)))
-    if flat < max(PLANE_NOISE * noise, PLANE_FRACTION * extent):
-        return FaceShape(PLANE)
     axis = np.linalg.eigh(normals.T @ normals)[1][:, 0]
     first = np.linalg.svd(axis[None])[2][1:]
     u, v = (centred @ one for one in first)
@@ -138,8 +148,28 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0.0)))
     off = np.hypot(u - solution[0], v - solution[1]) - radius
     scatter = float(np.sqrt((off**2).mean()))
+    section = np.column_stack([u, v])
+    chord = section @ np.linalg.eigh(np.cov(u, v))[1][:, 1]
+    extent = float(np.subtract(*np.percentile(chord, (95, 5))))
+    if (
+        extent < PLANE_TURN_RAD * radius
+        or len(points) / ALIKE * np.log(max(flat, 1e-9) / max(scatter, 1e-9)) < MIN_LOG_RATIO
+    ):
+        return FaceShape(PLANE, may_bulge=_may_bulge(section, extent, first @ normals.mean(axis=0)))
     centre = solution[:2] @ first
     bulges = bool(centre @ normals.mean(axis=0) < 0 and scatter < BULGE_FRACTION * flat)
     if scatter < max(CYLINDER_FRACTION * flat, noise):
         return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])), bulges)
     return FaceShape(FREE_FORM, bulges=bulges)
+
+
+def _may_bulge(section: Floats, extent: float, outward: Floats) -> bool:
+    """Whether surfels in cross-section (K, 2) may lie on an arc that turns away from ``outward`` (2,) like a tube."""
+    away = section - section.mean(axis=0)
+    axes = np.linalg.eigh(away.T @ away)[1]
+    height = away @ axes[:, 0] * np.sign(axes[:, 0] @ outward)
+    columns = np.column_stack([np.ones(len(away)), away @ axes[:, 1], (away @ axes[:, 1]) ** 2])
+    solution = np.linalg.lstsq(columns, height, rcond=None)[0]
+    scatter = np.mean((height - columns @ solution) ** 2) * ALIKE
+    sigma = float(np.sqrt(scatter * np.linalg.pinv(columns.T @ columns)[2, 2]))
+    return bool(2 * (SURE_DEVIATIONS * sigma - solution[2]) * extent > PLANE_TURN_RAD)

@@ -121,12 +121,12 @@ def _fit_along(
             members = _around(cloud, curve, NEAR_CELLS * scale.cell)
             points = cloud[members]
         if 0 < number < MAX_PASSES - 2 and growing and not closed:
-            curve, faces = _prolonged(curve, faces, 3 * scale.cell)
+            curve, faces = prolonged(curve, faces, 3 * scale.cell)
         fitted = fit_faces(points, curve, faces, scale)
         if fitted is None:
             return None
         displacement, slopes = intersections(curve, faces, fitted)
-        shown = _shown(fitted, displacement, scale) & _turned(faces, slopes, fitted, concave)
+        shown = shown_stations(fitted, displacement, scale) & turned_stations(faces, slopes, fitted, concave)
         if number == 1 and not _hopeful(faces, slopes, fitted, shown):
             return None
         run = _main_run(shown, int(12 * scale.cell / step))
@@ -172,7 +172,7 @@ def _hopeful(faces: Faces, slopes: Floats, sides: FaceFit, shown: Flags) -> bool
     return bool(np.percentile(turn, 80) > HOPEFUL_RAD and np.median(turn) > HOPEFUL_DEVIATIONS * sigma)
 
 
-def _shown(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
+def shown_stations(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
     """Stations (S,) at which both faces have points near the seam that fit them, and meet near the curve."""
     good = np.ones(len(displacement), dtype=bool)
     reach = 2 * max(int(scale.cell / max(1.5 * scale.spacing, scale.cell / 2)), 1) + 1
@@ -183,7 +183,7 @@ def _shown(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
     return good & (np.linalg.norm(displacement, axis=1) < 2.0 * scale.cell)
 
 
-def _turned(faces: Faces, slopes: Floats, sides: FaceFit, concave: bool) -> Flags:
+def turned_stations(faces: Faces, slopes: Floats, sides: FaceFit, concave: bool) -> Flags:
     """Stations (S,) at which the faces still meet in a corner of the same sign."""
     _, second = root_normals(faces, slopes)
     side = np.einsum("si,si->s", faces.outward[0], second) * (1.0 if concave else -1.0)
@@ -252,7 +252,8 @@ def _smooth(curve: SeamCurve, length_mm: float, stations: Floats, up: Floats) ->
     return build_curve(line, smooth_along(up, even, length_mm, curve.step_mm), curve.step_mm)
 
 
-def _prolonged(curve: SeamCurve, faces: Faces, reach_mm: float) -> tuple[SeamCurve, Faces]:
+def prolonged(curve: SeamCurve, faces: Faces, reach_mm: float) -> tuple[SeamCurve, Faces]:
+    """A curve and its faces carried on by ``reach_mm`` at both ends."""
     longer = extended(curve, reach_mm, reach_mm, base_mm=4 * reach_mm)
     place = cKDTree(curve.stations).query(longer.stations)[1]
     outward = faces.outward[:, place]

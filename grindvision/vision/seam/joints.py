@@ -38,7 +38,8 @@ class Seam:
     ``toes`` (2, S, 3) are where the joint ends on both sides: a groove's edges, a gap's edges, else the root.
     ``gap_mm`` and ``step_mm`` (S,) are the gap and the misalignment (hi-lo, or the step of a lap) with their standard
     deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it. ``deviations`` is by
-    how many standard deviations the faces of a corner turn, judged over its whole length.
+    how many standard deviations the faces of a corner turn, judged over its whole length. ``doubts`` are sentences
+    without their subject that say what speaks against the kind or the line.
     """
 
     kind: str
@@ -60,6 +61,7 @@ class Seam:
     closed: bool = False
     groove: DetectedGroove | None = None
     deviations: float = np.inf
+    doubts: tuple[str, ...] = ()
 
     @property
     def length_mm(self) -> float:

@@ -49,10 +49,13 @@ MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
 MAX_PLATE_MM, MAX_LEAN_RAD = 25.0, np.radians(35.0)
 #: A step stands out by so many deviations; two levels closer than this fraction of the gap are the two sides of a butt.
 MIN_STEP_DEVIATIONS = 8.0
-#: Sides of a butt joint are at most so far apart in height, and so much turned against each other.
-MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD = 4.0, np.radians(10.0)
+#: Sides of a butt joint are at most so far apart in height, and so much turned against each other; where they end they
+#: turn down by less than this together: two tubes that lie side by side turn by a right angle and more.
+MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD, MAX_FALL_RAD = 4.0, np.radians(10.0), np.radians(25.0)
 #: A gap shows something below it at this fraction of its stations, or is wider than so many spacings.
 MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
+#: A corner whose faces go on meeting for this fraction of its whole length is said to be followed in part.
+MIN_MISSED = 0.15
 #: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
 U_FLOOR, BEVEL_SKEW = 0.3, 0.22
 
@@ -125,6 +128,29 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         _interruptions(fit.shown, fit.curve.step_mm),
         fit.closed,
         deviations=turn_deviations(fit, surfels.grid.size_mm),
+        doubts=_undecided(kind, shapes),
+    )
+
+
+def _undecided(kind: str, shapes: tuple[FaceShape, FaceShape]) -> tuple[str, ...]:
+    """What to say of a corner whose one face bends away like a tube, while the noise hides whether the other does."""
+    bent, other = sorted(shapes, key=lambda shape: shape.name == PLANE)
+    if kind not in (T_JOINT, INSIDE) or not (bent.bulges and other.may_bulge):
+        return ()
+    return (
+        f"is undecided between {kind} and {SADDLE}: one face bends away like a tube, and the noise hides whether the"
+        " other one does; scan from nearer, or ask for the kind with --joint",
+    )
+
+
+def cut_short(missed_mm: float, fit: JointFit) -> tuple[str, ...]:
+    """What to say of a corner that goes on for ``missed_mm`` beyond its root line."""
+    if missed_mm < MIN_MISSED * (missed_mm + fit.length_mm):
+        return ()
+    share = fit.length_mm / (missed_mm + fit.length_mm)
+    return (
+        f"is followed over {fit.length_mm:.0f} mm only, about {share:.0%} of where its two surfaces meet in the scan:"
+        " see in the picture where it goes on, and scan the rest more densely or from where both faces are seen",
     )
 
 
@@ -170,6 +196,7 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
         wide = width > WIDE_GAP_SPACINGS * scale.spacing
         if (
             abs(step) > MAX_HI_LO_MM
+            or fit.fall_rad > MAX_FALL_RAD
             or not (seen > MIN_GAP_SEEN or wide)
             or not scale.spacing < width < MAX_SPACINGS * scale.spacing
         ):

@@ -27,6 +27,8 @@ WALL_HEIGHTS = 0.2, 0.8
 MIN_WALL_POINTS = 0.5
 #: Passes of fitting and prolonging: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 3, 12
+#: Bins in which the heights beside a gap show whether the surfaces fall towards it.
+FALL_BINS = 10
 #: Rounds of the robust lines, and when a residual no longer counts.
 ROUNDS, TUKEY = 4, 4.0
 
@@ -41,7 +43,8 @@ class EdgeFit:
     first one's height above the second at the seam, ``gap_mm`` (S,) the distance between the edges,
     ``gap_sigma_mm`` its standard deviation. ``normals`` (2, S, 3) are the surfaces', ``shown`` (S,) where both are
     seen, ``noise_mm`` their scatter, ``members`` (K,) the points beside the seam, ``between`` (S,) the number of points
-    inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to the lower one.
+    inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to the lower one. ``fall_rad`` is by how
+    much both surfaces together turn down where they end: next to nothing for two plates, a lot for two tubes.
     """
 
     curve: SeamCurve
@@ -57,6 +60,7 @@ class EdgeFit:
     members: Integers
     between: Floats
     way: Floats
+    fall_rad: float = 0.0
 
     @property
     def length_mm(self) -> float:
@@ -129,6 +133,7 @@ class _Edges:
     members: Integers
     between: Integers
     side: float
+    fall_rad: float
 
 
 def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | None, scale: Scale) -> _Edges | None:
@@ -140,7 +145,7 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
     count, window = len(curve), 1.5 * scale.cell / curve.step_mm
     near = 0.5 * scale.cell if height_mm is None else scale.near
     height = height_mm or 0.0
-    lines, noises, good = [], [], []
+    lines, noises, good, fall = [], [], [], 0.0
     for sign, level in ((-1.0, height), (1.0, 0.0)):
         mine = (sign * u > near) & (np.abs(v - level) < 0.25 * np.abs(u) + 0.3 * max(height, scale.cell / 3))
         if mine.sum() < 12:
@@ -149,6 +154,7 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         lines.append(line)
         noises.append(noise)
         good.append(np.bincount(station[mine][on], minlength=count))
+        fall += _fall_rad(np.abs(u[mine]), v[mine] - line[station[mine], 0], scale)
     noise = max(noises)
     upper, lower = (line[station, 0] + line[station, 1] * u for line in lines)
     gap_tolerance = 4 * noise + 0.02 * scale.cell
@@ -190,7 +196,7 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         curve, side * across, heights[1], side * lines[1][:, 1], np.where(shown, 1.0, 0.0), shown,
         heights[0] - heights[1], side * (ends + [[half], [-half]]), heights,
         side * np.stack([one[:, 1] for one in lines]),
-        spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side,
+        spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side, fall,
     )  # fmt: skip
 
 
@@ -209,6 +215,21 @@ def _line(at: Integers, u: Floats, v: Floats, count: int, window: float) -> tupl
         noise = max(float(MAD_TO_STD * np.median(np.abs(off))), MIN_NOISE_MM)
         weights = np.maximum(1 - (off / (TUKEY * noise)) ** 2, 0) ** 2
     return line, noise, weights > 0
+
+
+def _fall_rad(away: Floats, height: Floats, scale: Scale) -> float:
+    """By how much a surface, of heights (K,) at distances (K,) from the seam, falls towards it where it ends, rad.
+
+    Of the medians of bins over the distance: flying pixels at the edge are few in each.
+    """
+    bins = np.linspace(away.min(), scale.far, FALL_BINS + 1)
+    number = np.digitize(away, bins) - 1
+    rows = [number == k for k in range(FALL_BINS)]
+    middle = np.array([[np.median(away[row]), np.median(height[row])] for row in rows if row.sum() > 8])
+    if len(middle) < 5:
+        return 0.0
+    bend, slope, _ = np.polyfit(middle[:, 0], middle[:, 1], 2)
+    return float(np.arctan(slope + 2 * bend * middle[0, 0]))
 
 
 def _extreme(at: Integers, u: Floats, count: int) -> Floats:
@@ -264,6 +285,7 @@ def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     return EdgeFit(
         part, root, sigma, edges, found.step_mm[here], width, found.gap_sigma, normals, found.shown[here], found.noise,
         np.unique(found.members), found.between[here].astype(float), found.side * part.across,
+        found.fall_rad,
     )  # fmt: skip
 
 

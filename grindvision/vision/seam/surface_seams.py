@@ -21,7 +21,8 @@ from grindvision.vision.seam.joint_fit import JointFit, fit_joint
 from grindvision.vision.seam.joint_names import BUTT, LAP, OUTSIDE
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.pair_kernels import CONCAVE, CONVEX, STEP
-from grindvision.vision.seam.seam_kinds import corner_seam, named_edges, plausible
+from grindvision.vision.seam.seam_course import beyond_ends_mm, left_out_mm
+from grindvision.vision.seam.seam_kinds import corner_seam, cut_short, named_edges, plausible
 from grindvision.vision.seam.seam_tracing import trace_curves
 from grindvision.vision.seam.step_fit import fit_step
 from grindvision.vision.seam.surface_pairs import SurfacePairs, find_pairs
@@ -104,6 +105,7 @@ def _corners(
 ) -> list[Seam]:
     """Corners along rough lines through pairs, fitted and named; ``way``: are they concave, are the cells coarse."""
     found: list[Seam] = []
+    fits: list[JointFit] = []
     concave, coarse = way
     curves = trace_curves(pairs.places, pairs.along, scale.cell, JOIN_CELLS * scale.cell, TRACED_CELLS * scale.cell)
     tree = cKDTree(pairs.places) if curves else None
@@ -125,7 +127,14 @@ def _corners(
             seam = _as_step(cloud, fit, scale) or seam
         if not runs_along(seam.root, [*known, *found], 1.5 * scale.cell):
             found.append(seam)
-    return found
+            fits.append(fit)
+    result = []
+    for seam, fit in zip(found, fits, strict=True):
+        others = [other.root for other in (*known, *found) if other is not seam]
+        beyond = beyond_ends_mm(cloud, fit, concave, scale, others)
+        aside = left_out_mm(fit, face_shapes(fit, *scene[:2]), scene[:2], others) if concave else 0.0
+        result.append(replace(seam, doubts=seam.doubts + cut_short(max(beyond, aside), fit)))
+    return result
 
 
 def _as_step(cloud: Floats, fit: JointFit, scale: Scale) -> Seam | None:

@@ -22,8 +22,10 @@ CAMERA_CONE_RAD = np.radians(45)
 #: A camera looks along its z axis, forward or (in graphics) backward, the middle of the scan within this angle of it.
 CAMERA_FIELD_RAD = np.radians(40)
 
-#: Length of the mean of all normals, each turned to the origin, below which the origin is no camera.
-MIN_AGREEMENT = 0.6
+#: Length of the mean of all normals, each turned to the origin, below which the origin is no camera. A camera that
+#: looks into a corner of 60 deg sees normals whose mean is half as long as they are: it is believed above the second
+#: length, where at most this fraction of the surface is seen more flatly than scanners measure.
+MIN_AGREEMENT, MIN_IN_CORNER, FLAT_RAD, MAX_FLAT = 0.6, 0.45, np.radians(80), 0.1
 
 #: Normals within this angle belong to one main direction, if they are at least this fraction of all.
 MODE_CONE_RAD, MODE_FRACTION = np.radians(45), 0.12
@@ -53,7 +55,9 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
     normals = _facing(surfels.normals, towards - surfels.points)
     mean = normals.mean(axis=0)
     gap = towards - centre
-    believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > MIN_AGREEMENT
+    flat = float((vector_angle(normals, towards - surfels.points) > FLAT_RAD).mean())
+    least = MIN_IN_CORNER if flat < MAX_FLAT else MIN_AGREEMENT
+    believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > least
     off_axis = vector_angle(T_own_cloud[:3, 2], gap)
     believed = believed and min(off_axis, np.pi - off_axis) < CAMERA_FIELD_RAD
     if viewpoint_mm is not None or (believed and vector_angle(mean, gap) < CAMERA_CONE_RAD):

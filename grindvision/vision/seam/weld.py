@@ -156,6 +156,7 @@ def _findings(detected: SeamDetection, points: ArrayLike) -> list[str]:
     for number, groove in enumerate(grooves, start=1):
         findings += [f"groove {number} {finding}" for finding in diagnose_groove(groove, points, detected.spacing_mm)]
     for number, seam in enumerate(detected.seams, start=1):
+        findings += [f"seam {number} ({seam.kind}) {doubt}" for doubt in seam.doubts]
         if seam.interruptions:
             where = ", ".join(map(str, seam.interruptions))
             findings.append(f"seam {number} ({seam.kind}) is not seen at {where} of its length: the path bridges it")
