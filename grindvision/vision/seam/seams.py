@@ -35,8 +35,8 @@ from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_kinds import groove_seam
+from grindvision.vision.seam.section_shape import section_shape, with_shape
 from grindvision.vision.seam.surface_seams import CELL_SPACINGS, runs_along, surface_seams
-from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -91,7 +91,7 @@ class SeamDetection:
         return self.seam_id >= 0
 
     def __str__(self) -> str:
-        return f"{counted(len(self.seams), 'seam')}: " + "; ".join(str(seam) for seam in self.seams)
+        return f"{len(self.seams)} seam(s): " + "; ".join(str(seam) for seam in self.seams)
 
 
 @settings_in(FindSeamsOptions, 1, ("viewpoint_mm", "joint", "width_mm"))
@@ -122,13 +122,8 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
         grooves = _grooves(view, width_mm, False)
         sure, doubtful = _sorted_grooves(grooves, cloud, valid)
     if BEVEL in wanted and not sure:
-        bevelled = _grooves(view, width_mm, True)
-        diagonal = diagonal_mm(cloud)
-        sure = [
-            groove
-            for groove in _sorted_grooves(bevelled, cloud, valid)[0]
-            if groove.length_mm > max(BEVEL_ASPECT * float(np.median(groove.width_mm)), BEVEL_FRACTION * diagonal)
-        ]
+        bevelled = _reshaped(_grooves(view, width_mm, True), cloud, valid, spacing)
+        sure = _sorted_grooves(bevelled, cloud, valid)[0]
         grooves = bevelled if sure else grooves
     groove_seams = [groove_seam(groove) for groove in sure]
     others: list[Seam] = []
@@ -175,6 +170,21 @@ def _sorted_grooves(
         is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION
         (sure if is_sure and has_edges(mine, cloud) else doubtful).append(mine)
     return sure, doubtful
+
+
+def _reshaped(found: GrooveDetection | None, cloud: Floats, valid: Flags, spacing: float) -> GrooveDetection | None:
+    """The long ones of grooves that may have an upright wall, their roots where all points together show them."""
+    if found is None:
+        return None
+    number = np.cumsum(valid) - 1
+    kept = []
+    for groove in found.grooves:
+        least = max(BEVEL_ASPECT * float(np.median(groove.width_mm)), BEVEL_FRACTION * diagonal_mm(cloud))
+        mine = replace(groove, members=number[groove.members])
+        if groove.length_mm > least and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION:
+            shape = section_shape(groove, cloud, spacing)
+            kept.append(groove if shape is None else with_shape(groove, shape))
+    return replace(found, grooves=tuple(kept))
 
 
 def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
