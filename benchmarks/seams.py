@@ -141,7 +141,7 @@ def surface(kind: str) -> Scene:
                     height = height + 0.02 * w * np.cos(2 * np.pi / w * (u * np.cos(t) + v * np.sin(t)) + p)
             sheet = np.stack([u, v, height], axis=-1)
         points = sheet.reshape(-1, 3) - sheet.reshape(-1, 3).mean(axis=0)
-        tilt = rotation_about([1.0, 0.3, 0.0] / np.linalg.norm([1.0, 0.3, 0.0]), np.pi + rng.uniform(-0.5, 0.5))
+        tilt = rotation_about([1.0, 0.3, 0.0], np.pi + rng.uniform(-0.5, 0.5))
         points = points @ tilt.T + [0.0, 0.0, 450.0]
         rays = points / np.linalg.norm(points, axis=1)[:, None]
         return Seen(points + noise * rng.standard_normal((len(points), 1)) * rays, "no seam", None)
