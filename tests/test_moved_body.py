@@ -150,3 +150,18 @@ def test_a_box_that_holds_nothing_is_refused(tmp_path, capsys, corners):
     assert main([*scans, "--test-box", *(str(value) for value in corners)]) == 2
     assert "--test-box" in capsys.readouterr().err
     assert not (tmp_path / "result").exists()
+
+
+def test_grind_says_that_it_knows_nothing_of_what_was_cut_off(tmp_path, capsys):
+    (sample, test), poses, there, _ = scanned(3, 5.0, 2.0, True)
+    write_ply(tmp_path / "good.ply", sample)
+    write_ply(tmp_path / "test.ply", test)
+    boxes = [words(box_about(cut(sample, poses[0]))), words(box_about(cut(test, poses[1], there)))]
+    scans = ["grind", str(tmp_path / "good.ply"), str(tmp_path / "test.ply"), "-o", str(tmp_path / "passes"), "--wheel", "3", "--width", "3", "--lead", "1"]
+    assert main([*scans, "--sample-box", *boxes[0], "--test-box", *boxes[1]]) == 0
+    assert "outside of --test-box is no obstacle" in capsys.readouterr().err
+    told = json.loads((tmp_path / "passes" / "report.json").read_text())
+    assert len(told["pieces"]) == 1
+    assert any("--test-box" in warning for warning in told["warnings"])
+    again = ["grind", "--again", str(tmp_path / "passes"), str(tmp_path / "test.ply"), "--test-box", *boxes[1]]
+    assert main(again) == 0  # the job remembers SAMPLE's box

@@ -177,7 +177,8 @@ def run(options: argparse.Namespace) -> int:
 def read_sample_and_test(
     options: argparse.Namespace, field: FieldCorrection | None, mirrored: tuple[str | None, str | None] = (None, None)
 ) -> tuple[np.ndarray | Model, np.ndarray, list[Cloud | Model]]:
-    """SAMPLE and TEST as ``detect`` takes them, without the scanner's depth error, and as they were read."""
+    """SAMPLE and TEST as ``detect`` takes them, without the scanner's depth error, and as they were read; what lies
+    outside of their boxes is in neither."""
     from grindvision.clouds import Cloud, finite_points
 
     units = options.sample_unit or options.unit, options.unit

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
 from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
-from grindvision.cli.part import add_box_arguments, add_datum_argument, read_datum
+from grindvision.cli.part import add_box_arguments, add_datum_argument, doubts_before_grinding, read_datum
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
@@ -19,7 +19,6 @@ from grindvision.cli.scans import (
     add_field_argument,
     add_unit_argument,
     add_viewpoint_argument,
-    diagnose_pose,
     read_correction,
     read_pose,
     size_question,
@@ -215,7 +214,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("read"):
             sample, test, clouds = read_sample_and_test(options, field)
             keep_out = _keep_out(options)
-        for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test):
+        for finding in doubts_before_grinding(options, T_base_scanner, test):
             warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         asked = GrindOptions(
             settings,

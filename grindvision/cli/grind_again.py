@@ -8,9 +8,9 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.part import read_datum
+from grindvision.cli.part import doubts_before_grinding, read_datum
 from grindvision.cli.report import Run
-from grindvision.cli.scans import diagnose_pose, read_correction, read_pose, size_question, where_it_stood
+from grindvision.cli.scans import read_correction, read_pose, size_question, where_it_stood
 from grindvision.errors import FileError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         paths = (options.sample, options.test)
         with work.stage("read"):
             sample, new, clouds = read_sample_and_test(options, field)
-        for finding in [] if T_base_scanner is None else diagnose_pose(T_base_scanner, new):
+        for finding in doubts_before_grinding(options, T_base_scanner, new):
             warnings.warn(finding, GrindvisionWarning, stacklevel=1)
         asked = GrindAgainOptions(
             GrindOptions(

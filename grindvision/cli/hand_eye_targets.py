@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.records import by_content
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.calibration.pose_conventions import PoseConvention
+
+Found = TypeVar("Found")
 
 #: Kinds of ``--target`` that have sizes, and how many.
 KINDS = {"sphere": 1, "spheres": 1, "board": 2}
@@ -171,8 +173,8 @@ def _plate(
 
 
 def _where_found(
-    find: Callable[[int, np.random.Generator], np.ndarray], count: int, seed: int
-) -> tuple[list[np.ndarray], list[int]]:
+    find: Callable[[int, np.random.Generator], Found], count: int, seed: int
+) -> tuple[list[Found], list[int]]:
     """What ``find`` finds in each view, and in which views; those that show nothing are left out with a warning.
 
     Raises:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from grindvision.cli.parameters import number
+from grindvision.cli.scans import diagnose_pose
 from grindvision.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,3 +92,16 @@ def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
             f"--datum has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
         )
     return corners.reshape(2, 3)
+
+
+def doubts_before_grinding(
+    options: argparse.Namespace, T_base_scanner: np.ndarray | None, test: np.ndarray
+) -> list[str]:
+    """In words, what speaks against the pose of TEST's points (N, 3), and what passes know nothing of."""
+    found = [] if T_base_scanner is None else diagnose_pose(T_base_scanner, test)
+    if options.test_box is not None:
+        found.append(
+            "what lies outside of --test-box is no obstacle to wheel and arm: give a cloud of it with --keep-out, and"
+            " look at the ways yourself"
+        )
+    return found
