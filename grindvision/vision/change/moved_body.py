@@ -19,9 +19,11 @@ from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
+from grindvision.vision.registration.relative_scale import relative_scale
 from grindvision.vision.surface.scan import Scan
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 SPREADS = 4.0
 """Surfaces that are farther apart than so many standard deviations of the residuals at the pose, and than the level of
@@ -43,6 +45,11 @@ faces that the other scan does not show; of pits and a thick face at most 0.4, o
 MIN_DIRECTIONS = 0.03
 """Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
 direction have none, and are no evidence of a body."""
+
+
+SCALE_EXPLAINS = 0.6
+"""Another scale moves one end of a part as a motion does: where it explains so much of what the motion does, it is
+that."""
 
 
 @by_content
@@ -104,11 +111,29 @@ def find_moved_body(
             best, explained = moved.T_target_source, agree
     if explained.sum() < max(MIN_SURFELS, MIN_EXPLAINED * len(points)):
         return None
+    if _explained_by_scale(source, target, registration, disagree, within) > SCALE_EXPLAINS * explained.mean():
+        return None
     up = normals[explained]
     if np.linalg.eigvalsh(up.T @ up / len(up))[1] < MIN_DIRECTIONS:
         return None
     motion = inverse(inverse(pose) @ best)
     return MovedBody(motion, np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean()))
+
+
+def _explained_by_scale(
+    source: Scan, target: Scan, registration: FineRegistration, chosen: Flags, within_mm: float
+) -> float:
+    """Fraction of the ``chosen`` surfels (M,) that agree where all are scaled to the target's size and fitted anew."""
+    scale, _ = relative_scale(source, target, registration)
+    centre = move_points(inverse(registration.T_target_source), registration.centre_mm)
+    points, normals = centre + (source.surfels.points - centre) / scale, source.surfels.normals
+    try:
+        fitted = icp_planes(points, normals, target.surfels, registration.T_target_source)
+    except DegenerateError:
+        return 0.0
+    pose, max_mm = fitted.T_target_source, 3 * target.surfels.grid.size_mm
+    rest, facing = plane_residuals(points[chosen], normals[chosen], target.surfels, pose, max_mm)
+    return float((facing & (np.abs(rest) <= within_mm)).mean())
 
 
 def _starts(points: Floats, pose: Floats, length_mm: float) -> list[Floats]:
