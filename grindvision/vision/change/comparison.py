@@ -105,6 +105,8 @@ def _faces(found: Registration, datum_mm: ArrayLike | None, seed: int, deformed:
         if datum_mm is not None:
             raise InputError(f"a datum fixes no pose of a part that is {deformed}; leave --datum out")
         return FaceReading(found.fine, (), True, None, ())
+    if datum_mm is None and found.fine.by_rims:  # a fit of the faces would slide along what they leave open
+        return FaceReading(found.fine, (), True, None, ())
     if datum_mm is None:
         return read_faces(found.source, found.target, found.fine, seed)
     fine, settled = refine_on_datum(found.source, found.target, found.fine, datum_mm)

@@ -30,7 +30,8 @@ class FineRegistration:
     source; ``information`` (6, 6): sum of the Jacobians' squares for a translation (mm) followed by a rotation (rad)
     about ``centre_mm``, target frame; ``covariance`` its inverse times the residuals' variance, NaN where singular;
     ``hidden_covariance`` (6, 6): what distortion may add that looks like a motion and so shows in no residual;
-    ``mean_squares_mm2``: the mean squared residual after each iteration.
+    ``mean_squares_mm2``: the mean squared residual after each iteration. ``by_rims``: planes and curvature leave a
+    motion hardly known, and the rims of faces hold it.
     """
 
     T_target_source: Floats
@@ -43,6 +44,7 @@ class FineRegistration:
     covariance: Floats
     mean_squares_mm2: Floats
     hidden_covariance: Floats = field(default_factory=lambda: np.zeros((6, 6)))
+    by_rims: bool = False
 
     @property
     def total_covariance(self) -> Floats:

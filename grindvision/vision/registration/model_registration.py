@@ -17,15 +17,15 @@ from grindvision.geometry import check_points, move_points
 from grindvision.geometry.bounds import bounds
 from grindvision.models import Model
 from grindvision.vision.registration.pair_diagnostics import MAX_SIZE_RATIO, PairNames
+from grindvision.vision.registration.pose_findings import LEFT_HANDED, warn_of_findings
+from grindvision.vision.registration.rim_fit import hold_by_rims
 from grindvision.vision.registration.scan_registration import (
     CERTAIN,
-    LEFT_HANDED,
     MIN_POINTS,
     Registration,
     StageClock,
     propose,
     refine,
-    warn_of_findings,
     without_strays,
 )
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
@@ -99,7 +99,8 @@ def register_to_model(
     draws = rng.spawn(1)[0]
     target = model_at_pose(prepared, whole, surface, resolution, coarse.registration.T_target_source)
     fine = refine(prepared, target, coarse, draws)
-    warn_of_findings(prepared, coarse, fine, names)
+    fine, held = hold_by_rims(prepared, target, fine, coarse.registration.T_target_source)
+    warn_of_findings(prepared, coarse, fine, names, held)
     clock.lap("icp")
     return ModelRegistration(Registration(prepared, target, coarse, fine, clock.laps_s), surface)
 
