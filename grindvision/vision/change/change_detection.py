@@ -191,12 +191,14 @@ def find_change(
     shared = np.minimum(excess, _excess_below(surface, surfels.points, signed, normals))
     firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, floor))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
-    if changed[held].sum() > MAX_CHANGED * held.sum():
+    facing = (surfels.normals * normals).sum(axis=1)
+    common = held & (facing > 0)  # of a thin wall one scan may show the front, the other the back
+    if changed[common].sum() > MAX_CHANGED * common.sum():
         raise DegenerateError(
-            f"{changed[held].sum() / held.sum():.0%} of the common surface differs by more than"
+            f"{changed[common].sum() / common.sum():.0%} of the common surface differs by more than"
             f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
         )
-    suspicious = far | ((surfels.normals * normals).sum(axis=1) < 0.6)
+    suspicious = far | (facing < 0.6)
     comparable = shown & surrounded(surface, surfels.points - np.nan_to_num(signed)[:, None] * normals, normals)
     odd = np.flatnonzero(~comparable | suspicious)
     free, aside = _in_the_way(surface, seen_from(target, back), surfels.points, odd, signed, normals)

@@ -41,7 +41,12 @@ a thirtieth of it, less than where single points come and go beside the target's
 
 
 def refine_bent(
-    source: ArrayLike, source_normals: ArrayLike, target: Surfels, start: FineRegistration, iterations: int = 60
+    source: ArrayLike,
+    source_normals: ArrayLike,
+    target: Surfels,
+    start: FineRegistration,
+    iterations: int = 60,
+    min_spread_mm: float = 1e-9,
 ) -> FineRegistration:
     """Refine a registration of points (N, 3) with normals (N, 3) onto surfels, allowing for a smooth bending.
 
@@ -51,7 +56,8 @@ def refine_bent(
     not single residuals. The hidden covariance guesses, from the bends that show, at the part of the field that looks
     like a motion: a constant and two slopes; and it holds how far the bending moved the pose from ``start``, where ICP
     without it came to rest: along motions that the surface hardly resists, either may be right. What moves both scans
-    alike (a scale error, an offset of the depth) leaves no trace in either and is in none of them.
+    alike (a scale error, an offset of the depth) leaves no trace in either and is in none of them. Residuals within a
+    few times ``min_spread_mm`` count, however little most of them spread.
     """
     source, normals = np.asarray(source, dtype=float), np.asarray(source_normals, dtype=float)
     size = target.grid.size_mm
@@ -67,7 +73,7 @@ def refine_bent(
         centre = moved.mean(axis=0)
         hidden, bends = _fields(moved - centre)
         design = np.column_stack([up, np.cross(moved - centre, up), bends])
-        solution, information, weights, spread = _robust(design, residual, variance, prior)
+        solution, information, weights, spread = _robust(design, residual, variance, prior, min_spread_mm)
         transform = rigid(None, centre) @ small_motion(solution[:6]) @ rigid(None, -centre) @ transform
         done += 1
         shift = np.abs(solution[:3]).max() + np.abs(solution[3:6]).max() * np.abs(moved - centre).max()
@@ -110,7 +116,9 @@ def _hidden_sizes(bends: Floats) -> Floats:
     return np.sqrt(second * growth ** np.array([2.0, 1.0, 1.0]))
 
 
-def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) -> tuple[Floats, Floats, Floats, float]:
+def _robust(
+    design: Floats, residual: Floats, variance: Floats, prior: float, min_spread: float
+) -> tuple[Floats, Floats, Floats, float]:
     """Least squares with Tukey's weights; all but the first six unknowns are held to zero within ``prior``.
 
     ``variance`` (N,) of the target's surface adds to the residuals' own: edges, where it is ill known, weigh less.
@@ -120,7 +128,7 @@ def _robust(design: Floats, residual: Floats, variance: Floats, prior: float) ->
     solution = np.zeros(design.shape[1])
     for _ in range(3):
         left = residual + design @ solution
-        spread = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
+        spread = max(1.4826 * float(np.median(np.abs(left))), min_spread)
         weights = trust * np.clip(1 - trust * (left / (TUKEY * spread)) ** 2, 0, None) ** 2
         information = design.T @ (design * weights[:, None])
         information[range(6, len(solution)), range(6, len(solution))] += (spread / max(prior, 1e-9)) ** 2

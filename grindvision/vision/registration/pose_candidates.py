@@ -65,7 +65,7 @@ class PoseJudge:
         self.surfels = len(source.surfels) + len(target.surfels)
         self.fine, self.coarse = target.surfels, target.voxels
         self.whole = target.sided
-        self.within_mm = _tolerance(source.surfels, target.surfels)
+        self.within_mm = same_within(source.surfels, target.surfels)
         self.centre = self.points.mean(axis=0)
         self.extent = float(np.sqrt(((self.points - self.centre) ** 2).sum(axis=1).mean()))
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
@@ -169,7 +169,7 @@ def principal_axes(points: Floats) -> Floats:
     return np.asarray(axes)
 
 
-def _tolerance(source: Surfels, target: Surfels) -> float:
+def same_within(source: Surfels, target: Surfels) -> float:
     """Distance in mm within which two surfaces count as the same: their roughness, and a little of the cell size."""
     rough = np.hypot(np.median(source.roughness_mm), np.median(target.roughness_mm))
     return float(3 * rough + 0.1 * target.grid.size_mm)

@@ -25,6 +25,7 @@ from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.plates import lies_beside, plate_poses
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
 from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
+from grindvision.vision.registration.wider_features import wider_poses
 from grindvision.vision.surface.scan import Scan
 
 Floats = NDArray[np.float64]
@@ -101,8 +102,13 @@ def choose_pose(
     """
     judge = PoseJudge(source, target, rng, sample)
     candidates = judge.settled(judge.refined_all(poses[:tried]))
+    if candidates:
+        candidates = judge.distinct([*candidates, *_from_farther(judge, candidates[0])])
     if not candidates or judge.is_uncertain(candidates[0]):
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(poses[tried:]))])
+    if not candidates or judge.is_uncertain(candidates[0]):
+        wider = wider_poses(source, target, rng.spawn(1)[0])[:tried]
+        candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(wider))])
     if not candidates or judge.is_uncertain(candidates[0]):
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(face_poses(judge), far=True))])
     if candidates:
@@ -122,6 +128,13 @@ def choose_pose(
         raise AmbiguousError(f"the registration is ambiguous: {said}")
     found = _verdict(judge, best, [other for other in candidates if judge.differ(other.pose, best.pose)])
     return replace(found, mirror=mirrored_fit(judge, best))
+
+
+def _from_farther(judge: PoseJudge, best: Candidate) -> list[Candidate]:
+    """Where the best pose comes to rest when farther surface may pull, if that is elsewhere: in finely sampled channels
+    and on steps ICP rests between two walls."""
+    found = judge.settled(judge.refined_all([best.pose], far=True))
+    return [one for one in found if judge.differ(one.pose, best.pose)]
 
 
 def _overlapping(judge: PoseJudge, candidates: list[Candidate]) -> list[Candidate]:
