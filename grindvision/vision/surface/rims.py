@@ -102,7 +102,7 @@ def find_rims(scan: Scan, reach_mm: float) -> Rims:
 
 def _at_border(scan: Scan, spacing: float) -> Flags:
     """Points (N,) at the border of a scan that may have been cut there: by its file's axes, or as its picture is."""
-    if scan.sided:
+    if scan.sided or scan.viewpoint_mm is None:
         return np.zeros(len(scan.points), dtype=bool)
     rays = scan.points - scan.viewpoint_mm
     depth = np.abs(rays).mean(axis=0).argmax()  # the axis along which the scanner looks
