@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.geometry import motion_columns, move_points, rigid, rotate_vectors, small_motion
-from grindvision.geometry.hash_grid import CellGrid, build_cells, random_order
+from grindvision.geometry.hash_grid import CellGrid, build_cells
 from grindvision.geometry.neighbours import within_radius
 from grindvision.kernels import njit
 from grindvision.vision.registration.deformable import BLOCKS_ACROSS, TUKEY
@@ -135,7 +135,8 @@ class _Planes:
     """What the planes say: the ``information`` (6, 6) of the pose that they gave, and a step towards them."""
 
     def __init__(self, source: Scan, target: Scan, found: FineRegistration, samples: int = 6_000) -> None:
-        chosen = np.sort(random_order(source.surfels.grid.keys, np.random.default_rng(0))[:samples])
+        every = max(1, len(source.surfels) // samples)
+        chosen = np.argsort(source.surfels.grid.keys)[::every]
         self.points, self.normals = source.surfels.points[chosen], source.surfels.normals[chosen]
         self.target, self.found = target.surfels, found
         prior = found.total_covariance
