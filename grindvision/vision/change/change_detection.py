@@ -192,12 +192,7 @@ def find_change(
     firm = 1.96 * np.sqrt(np.maximum(noise + (0.5 * shared) ** 2 + pose + field, floor))
     changed = np.abs(np.nan_to_num(signed)) > np.maximum(2 * level, 6 * sigma)
     facing = (surfels.normals * normals).sum(axis=1)
-    common = held & (facing > 0)  # of a thin wall one scan may show the front, the other the back
-    if changed[common].sum() > MAX_CHANGED * common.sum():
-        raise DegenerateError(
-            f"{changed[common].sum() / common.sum():.0%} of the common surface differs by more than"
-            f" {2 * np.median(level[shown]):.2g} mm; is this another part, or a poor registration?"
-        )
+    _check_same_part(changed, held & (facing > 0), 2 * float(np.median(level[shown])))
     suspicious = far | (facing < 0.6)
     comparable = shown & surrounded(surface, surfels.points - np.nan_to_num(signed)[:, None] * normals, normals)
     odd = np.flatnonzero(~comparable | suspicious)
@@ -213,6 +208,20 @@ def find_change(
     clusters, specks = find_pieces(source, surface, standing, min_surfels)
     middle = float(np.median(level[shown]))
     return Difference(clusters, surfels.points, signed, level, middle, firm, comparable, size, specks)
+
+
+def _check_same_part(changed: Flags, common: Flags, within_mm: float) -> None:
+    """Refuse scans most of whose common surface is changed; what faces the other way is none: of a thin wall one scan
+    may show the front, the other the back.
+
+    Raises:
+        DegenerateError: more than ``MAX_CHANGED`` of it is.
+    """
+    if changed[common].sum() > MAX_CHANGED * common.sum():
+        raise DegenerateError(
+            f"{changed[common].sum() / common.sum():.0%} of the common surface differs by more than {within_mm:.2g} mm;"
+            " is this another part, or a poor registration?"
+        )
 
 
 def _excess_below(surface: Surfels, points: Floats, signed: Floats, normals: Floats) -> Floats:
