@@ -157,7 +157,19 @@ def test_grind_says_that_it_knows_nothing_of_what_was_cut_off(tmp_path, capsys):
     write_ply(tmp_path / "good.ply", sample)
     write_ply(tmp_path / "test.ply", test)
     boxes = [words(box_about(cut(sample, poses[0]))), words(box_about(cut(test, poses[1], there)))]
-    scans = ["grind", str(tmp_path / "good.ply"), str(tmp_path / "test.ply"), "-o", str(tmp_path / "passes"), "--wheel", "3", "--width", "3", "--lead", "1"]
+    scans = [
+        "grind",
+        str(tmp_path / "good.ply"),
+        str(tmp_path / "test.ply"),
+        "-o",
+        str(tmp_path / "passes"),
+        "--wheel",
+        "3",
+        "--width",
+        "3",
+        "--lead",
+        "1",
+    ]
     assert main([*scans, "--sample-box", *boxes[0], "--test-box", *boxes[1]]) == 0
     assert "outside of --test-box is no obstacle" in capsys.readouterr().err
     told = json.loads((tmp_path / "passes" / "report.json").read_text())
