@@ -1,5 +1,6 @@
 """A hand-eye fit over kinds of errors: like the plain mixture, sigmas that hold, small changes that move it little."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -26,6 +27,19 @@ def a_fit(rng, n=7):
     return Linear(rows, J, arm, white, rng.uniform(0.5, 1, n), apart, 350.0)
 
 
+def of_a_point(fit):
+    """The same fit with the place alone, whose least squares is stated."""
+    J, n = fit.J[:, :3, :9], len(fit.rows)
+    return replace(
+        fit,
+        rows=fit.rows[:, :3],
+        J=J,
+        arm=fit.arm[:, :3],
+        weights=np.ones(n),
+        solution=np.linalg.pinv(J.reshape(-1, 9)).reshape(9, n, 3),
+    )
+
+
 def plainly(fit):
     """``average`` with the covariance of all residuals written out, kind by kind."""
     (n, size), unknowns = fit.rows.shape, fit.J.shape[2]
@@ -33,7 +47,8 @@ def plainly(fit):
     r, J = root * fit.rows.ravel(), root[:, None] * fit.J.reshape(-1, unknowns)
     freedom = size * fit.weights.sum() - unknowns
     logs, changes, covariances = [], [], []
-    for length, depth, camera, arm in product(LENGTHS_RAD, DEPTH, CAMERA / fit.lever_mm, ARM / fit.lever_mm):
+    cameras = CAMERA / fit.lever_mm if size == 6 else [0.0]
+    for length, depth, camera, arm in product(LENGTHS_RAD, DEPTH, cameras, ARM / fit.lever_mm):
         V = np.zeros((n, size, n, size))
         for i, j in product(range(n), repeat=2):
             like = float(i == j) if length == 0 else np.exp(-0.5 * (fit.apart_rad[i, j] / length) ** 2)
@@ -49,6 +64,9 @@ def plainly(fit):
         change = -C @ J.T @ W @ r
         left = (r + J @ change) @ W @ (r + J @ change)
         logs.append(0.5 * (np.linalg.slogdet(W)[1] + np.linalg.slogdet(C)[1] - freedom * np.log(left)))
+        if fit.solution is not None:
+            A = fit.solution.reshape(unknowns, -1)
+            change, C = np.zeros(unknowns), A @ V @ A.T
         changes.append(change)
         covariances.append(C * left / (freedom - 2))
     p = np.exp(np.array(logs) - max(logs))
@@ -59,8 +77,10 @@ def plainly(fit):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_as_unknowns_give_what_their_covariance_written_out_gives(seed):
+@pytest.mark.parametrize("point", [False, True])
+def test_errors_as_unknowns_give_what_their_covariance_written_out_gives(seed, point):
     fit = a_fit(np.random.default_rng(seed))
+    fit = of_a_point(fit) if point else fit
     found = average(fit)
     change, covariance = plainly(fit)
     sigma = np.sqrt(np.diag(covariance))
@@ -109,6 +129,27 @@ def test_stated_sigmas_hold_over_many_sequences(kind):
         off.append(np.abs(change) / np.sqrt(np.diag(found.covariance)))
     in_sigmas = np.array(off)
     assert 0.58 <= (in_sigmas < 1).mean() <= 0.78
+    assert (in_sigmas < 3).mean() >= 0.97
+
+
+@pytest.mark.parametrize("mounted", ["on-arm", "fixed"])
+def test_stated_sigmas_of_a_sphere_hold_over_many_sequences(mounted):
+    """Errors of the arm's rotation move the sphere over the lever to it: more than errors of the place alone would."""
+    off = []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 24])
+        n = int(rng.integers(8, 15))
+        carrier = looking_poses(rng, n)
+        shown = carrier if mounted == "on-arm" else inverse(carrier)
+        true = shown @ small_motions(rng, n, rng.uniform(0.05, 0.5), np.radians(rng.uniform(0.02, 0.13)))
+        truly = true if mounted == "on-arm" else inverse(true)
+        seen = (inverse(truly @ X) @ rigid(None, TARGET))[:, :3, 3] + rng.uniform(0.02, 0.15) * rng.normal(size=(n, 3))
+        found = hand_eye(shown, seen, HandEyeOptions(mounted))
+        turn = Rotation.from_matrix(found.T_parent_camera[:3, :3] @ X[:3, :3].T).as_rotvec()
+        change = np.concatenate([found.T_parent_camera[:3, 3] - X[:3, 3], turn])
+        off.append(np.abs(change) / np.sqrt(np.diag(found.covariance)))
+    in_sigmas = np.array(off)
+    assert 0.6 <= (in_sigmas < 1).mean() <= 0.76
     assert (in_sigmas < 3).mean() >= 0.97
 
 

@@ -41,9 +41,10 @@ def test_relief_is_no_noise(noise_mm):
         cut_out_sphere(cap(rng, noise_mm=noise_mm, relief_mm=3.0), 80.0, rng, "head")
 
 
-def test_a_single_point_beside_a_sphere_is_a_stray():
-    rng = np.random.default_rng(1)
-    points = np.vstack([cap(rng, n=800), CENTRE + [0.0, 0, -45]])
+@pytest.mark.parametrize("strays", [1, 2, 3])
+def test_a_few_points_beside_a_sphere_are_strays(strays):
+    rng = np.random.default_rng(strays)
+    points = np.vstack([cap(rng, n=800), CENTRE + [0.0, 0, -45] + rng.uniform(-1, 1, (strays, 3))])
     fit = find_sphere(points, rng, 40.0, 0.5)
     assert np.linalg.norm(fit.centre_mm - CENTRE) < 0.05
     assert fit.inliers[:800].mean() > 0.95 and not fit.inliers[800:].any()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grindvision.calibration.hand_eye_average import LOST_WEIGHT
 from grindvision.calibration.hand_eye_fit import LEVER_MM, FitOptions, averaged, fit, left_out_mm
 from grindvision.calibration.hand_eye_noise import PoseErrors
 from grindvision.calibration.hand_eye_starts import rotation_rms, starts_from_points, starts_from_poses
@@ -30,9 +31,6 @@ FEWEST_POINTS, FEWEST_POSES = 4, 3
 
 #: The poses must turn about a second axis by so much (deg, root mean square about their mean).
 MIN_SECOND_AXIS_DEG = 2.0
-
-#: A pose of less weight does not fit the others.
-LOST_WEIGHT = 0.1
 
 #: From so many poses on a wrong one can be told from the rest, and loses its weight.
 ROBUST_FROM = 6
@@ -60,7 +58,7 @@ class HandEye:
     does not fit the others. ``starts_differ``: degrees and mm between two closed-form solutions (NaN: only one).
     ``rotation_rms_deg`` (3,): how far the poses turn about their mean along three axes, largest first.
     ``errors``: of arm and camera, from ``ROBUST_FROM`` poses of a target on; None for points. ``shared_errors``: the
-    probability that poses near each other share errors of the arm; NaN for points.
+    probability that poses near each other share errors of the arm.
     """
 
     T_parent_camera: Floats
@@ -128,7 +126,7 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
 
     Closed forms give the starts; one least squares on the group gives the answer, with poses that do not fit the others
     weighted down from ``ROBUST_FROM`` poses on. Poses of a target are weighted by what the errors of arm and camera may
-    be, and the answer is the mean over that.
+    be, and the answer is the mean over that; the covariance of either allows for all of them.
 
     Args:
         T_base_flange: poses (N, 4, 4) of the controller, mm.
@@ -165,7 +163,7 @@ def hand_eye(T_base_flange: ArrayLike, target_camera: ArrayLike, options: HandEy
     on_arm = mounted == "on-arm"
     found = fit(carrier, target, start.X, FitOptions(on_arm, many, many))
     left_out = left_out_mm(carrier, target, found, on_arm)
-    found = found if points else averaged(carrier, target, found, on_arm)
+    found = averaged(carrier, target, found, on_arm)
     return HandEye(
         found.X, found.Y, mounted, found.covariance, found.place, found.rotation, left_out, found.weights, differ,
         np.degrees(spread), None if found.sizes is None else PoseErrors(*np.sqrt(found.sizes)), found.shared,

@@ -72,7 +72,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
             sizes = estimate(rows, J, made, weights, sizes)
         rows, J = _whitened(carrier, target, X, rows, J, replace(options, sizes=sizes))
         if options.robust and options.keep is None:
-            weights = _weights(np.linalg.norm(rows, axis=1))
+            weights = _weights(np.linalg.norm(rows, axis=1), columns.stop)
         root = np.sqrt(weights)
         A = (root[:, None, None] * J)[..., columns].reshape(-1, columns.stop)
         change = np.zeros(12)
@@ -90,7 +90,7 @@ def fit(carrier: Floats, target: Floats, start: Floats, options: FitOptions) -> 
 
 
 def averaged(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -> HandEyeFit:
-    """A fit to poses of a target, taken on to the mean over what its errors may be, see ``hand_eye_average``.
+    """A fit taken on to the mean over what its errors may be, see ``hand_eye_average``; of a point, its covariance.
 
     The target's place is then the mean of where the poses put it: errors that all poses share cannot be told from it.
     """
@@ -98,6 +98,8 @@ def averaged(carrier: Floats, target: Floats, found: HandEyeFit, on_arm: bool) -
     for _ in range(AVERAGED):
         rows, J = _linearised(carrier, target, X, Y)
         mixed = average(linear(carrier, target, X, on_arm, rows, J, found.weights))
+        if target.ndim == 2:
+            return replace(found, covariance=mixed.covariance[:6, :6], shared=mixed.shared)
         X, Y = _moved(X, mixed.change[:6]), _moved(Y, mixed.change[6:])
     seen, weights = carrier @ X @ target, found.weights / found.weights.sum()
     Y = rigid(nearest_rotation(np.tensordot(weights, seen[:, :3, :3], 1)), weights @ seen[:, :3, 3])
@@ -184,9 +186,13 @@ def _whitened(
     return whitened[..., 0], whitened[..., 1:]
 
 
-def _weights(sizes: Floats) -> Floats:
-    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding."""
-    scale = max(float(np.median(sizes)) / 1.54, 1e-6)
+def _weights(sizes: Floats, unknowns: int) -> Floats:
+    """Tukey's weights (N,) by a scale from the median; the floor keeps exact data from weighting rounding.
+
+    The fit takes up a part of the errors, of few points a large one: so much larger they were.
+    """
+    taken_up = min(unknowns / (3 * len(sizes)), 0.5) if unknowns == 9 else 0.0
+    scale = max(float(np.median(sizes)) / 1.54 / np.sqrt(1 - taken_up), 1e-6)
     return np.clip(1 - (sizes / (6.0 * scale)) ** 2, 0.0, 1.0) ** 2
 
 

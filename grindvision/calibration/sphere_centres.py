@@ -44,9 +44,8 @@ def find_sphere(
     used = rough.inliers.copy()
     crowded = near.copy()
     if near.any():
-        # a single point has its neighbour at infinity: a stray, too
-        neighbours = min(4, max(int(near.sum()), 2))
-        lonely = cKDTree(points[near]).query(points[near], k=neighbours)[0][:, -1] > 0.2 * rough.radius_mm
+        # fewer than four have neighbours at infinity: strays, too
+        lonely = cKDTree(points[near]).query(points[near], k=4)[0][:, -1] > 0.2 * rough.radius_mm
         crowded[np.flatnonzero(near)[lonely]] = False
     if crowded.any():
         chord = 2 * np.sin(np.radians(margin_deg) / 2)
