@@ -96,7 +96,7 @@ def test_a_thousandth_of_stray_points_anywhere_moves_no_result_beyond_its_sigma(
 
 def test_a_clump_in_mid_air_gets_no_path(case, plain, rng):
     clump = case.test.mean(axis=0) - [30, 0, 15] + rng.normal(size=(22, 3))
-    with pytest.warns(GrindvisionWarning, match="touch nothing of the part, the largest"):
+    with pytest.warns(GrindvisionWarning, match="touching nothing of the part, the largest"):
         found = detect(case.sample, np.vstack([case.test, clump]))
     assert len(found.beads) == 1
     away, _ = cKDTree(plain.beads[0].ridge).query(found.path_points)

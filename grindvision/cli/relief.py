@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grindvision.extras import extra
+from grindvision.records import by_content
 
 with extra("plot"):
     from matplotlib.colors import to_rgb
@@ -26,6 +27,7 @@ SLOPES = (0.25, 1.0)
 LIGHT, AMBIENT = np.array([-0.45, 0.45, 0.77]), 0.5
 
 
+@by_content
 @dataclass(frozen=True)
 class Raster:
     """Means of values over square cells: ``cells`` (rows, columns), NaN where no point lies, in mm in a panel."""

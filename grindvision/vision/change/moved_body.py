@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry import angle_between, inverse, move_points, rigid
+from grindvision.geometry import angle_between, inverse, move_points, rigid, rotate_vectors
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.registration.icp import FineRegistration
@@ -35,12 +35,17 @@ REACH_CELLS = 6.0
 START = 1.5
 """A start moves what disagrees by so many of its median distances along and against each of its principal axes."""
 
-MIN_SURFELS = 60
-"""Fewer surfels that one motion explains may be chance."""
+MIN_SURFELS, MIN_FRACTION = 100, 0.012
+"""Fewer surfels that one motion explains, or a smaller fraction of the scan, may be a bead: of the moved parts tried it
+was 0.02 to 0.04, of beads below 0.01."""
 
 MIN_EXPLAINED = 0.65
 """Fraction of the disagreeing surfels that a motion must explain. Of moved bodies it explains 0.7 to 0.9, the rest are
 faces that the other scan does not show; of pits and a thick face at most 0.4, of a bead's flat top and sides 0.6."""
+
+MAX_TAKEN = 0.5
+"""Where a moved body was, the test scan shows nothing of it. A motion that lays more than this fraction of what it
+explains on surface that the test scan shows at its place has found another edge for the flanks of a bead."""
 
 MIN_DIRECTIONS = 0.03
 """Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
@@ -109,15 +114,21 @@ def find_moved_body(
         agree = facing & (np.abs(rest) <= within)
         if agree.sum() > explained.sum():
             best, explained = moved.T_target_source, agree
-    if explained.sum() < max(MIN_SURFELS, MIN_EXPLAINED * len(points)):
+    if explained.sum() < max(MIN_SURFELS, MIN_FRACTION * len(surfels), MIN_EXPLAINED * len(points)):
+        return None
+    before = inverse(pose) @ best
+    there, facing_there = move_points(before, points[explained]), rotate_vectors(before, normals[explained])
+    rest, facing = plane_residuals(there, facing_there, surfels, np.eye(4), 3 * surfels.grid.size_mm)
+    if (facing & (np.abs(rest) <= within)).mean() > MAX_TAKEN:
         return None
     if _explained_by_scale(source, target, registration, disagree, within) > SCALE_EXPLAINS * explained.mean():
         return None
     up = normals[explained]
     if np.linalg.eigvalsh(up.T @ up / len(up))[1] < MIN_DIRECTIONS:
         return None
-    motion = inverse(inverse(pose) @ best)
-    return MovedBody(motion, np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean()))
+    return MovedBody(
+        inverse(before), np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean())
+    )
 
 
 def _explained_by_scale(
