@@ -37,6 +37,7 @@ from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.seam_kinds import groove_seam
 from grindvision.vision.seam.section_shape import section_shape, with_shape
 from grindvision.vision.seam.surface_seams import CELL_SPACINGS, runs_along, surface_seams
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -91,7 +92,7 @@ class SeamDetection:
         return self.seam_id >= 0
 
     def __str__(self) -> str:
-        return f"{len(self.seams)} seam(s): " + "; ".join(str(seam) for seam in self.seams)
+        return f"{counted(len(self.seams), 'seam')}: " + "; ".join(str(seam) for seam in self.seams)
 
 
 @settings_in(FindSeamsOptions, 1, ("viewpoint_mm", "joint", "width_mm"))
