@@ -17,6 +17,7 @@ from grindvision.errors import DegenerateError
 from grindvision.geometry import angle_between, inverse, move_points, rigid, rotate_vectors
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
+from grindvision.vision.registration.agreement import agreement
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.registration.relative_scale import relative_scale
@@ -50,7 +51,6 @@ explains on surface that the test scan shows at its place has found another edge
 MIN_DIRECTIONS = 0.03
 """Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
 direction have none, and are no evidence of a body."""
-
 
 SCALE_EXPLAINS = 0.6
 """Another scale moves one end of a part as a motion does: where it explains so much of what the motion does, it is
@@ -118,8 +118,7 @@ def find_moved_body(
         return None
     before = inverse(pose) @ best
     there, facing_there = move_points(before, points[explained]), rotate_vectors(before, normals[explained])
-    rest, facing = plane_residuals(there, facing_there, surfels, np.eye(4), 3 * surfels.grid.size_mm)
-    if (facing & (np.abs(rest) <= within)).mean() > MAX_TAKEN:
+    if agreement(there, facing_there, surfels, np.eye(4), within).agreeing > MAX_TAKEN:
         return None
     if _explained_by_scale(source, target, registration, disagree, within) > SCALE_EXPLAINS * explained.mean():
         return None
@@ -142,9 +141,7 @@ def _explained_by_scale(
         fitted = icp_planes(points, normals, target.surfels, registration.T_target_source)
     except DegenerateError:
         return 0.0
-    pose, max_mm = fitted.T_target_source, 3 * target.surfels.grid.size_mm
-    rest, facing = plane_residuals(points[chosen], normals[chosen], target.surfels, pose, max_mm)
-    return float((facing & (np.abs(rest) <= within_mm)).mean())
+    return agreement(points[chosen], normals[chosen], target.surfels, fitted.T_target_source, within_mm).agreeing
 
 
 def _starts(points: Floats, pose: Floats, length_mm: float) -> list[Floats]:
