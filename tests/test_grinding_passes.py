@@ -99,6 +99,26 @@ def test_a_way_leads_in_cuts_leads_out_and_retracts():
     assert np.linalg.norm(np.diff(fine.points, axis=0), axis=1).max() <= 10.0 + 1e-9
 
 
+@pytest.mark.parametrize("tool", ["wheel", "disc"])
+def test_between_its_points_a_path_over_a_rounded_surface_cuts_no_deeper_than_at_them(tool):
+    """Along the rounding, with a step of half a metre and with few places: the chords stay on the planned way."""
+    work = flat_work(bend_per_mm=-0.05)
+    middle = work.heights.shape[0] // 2
+    inside = np.zeros_like(work.inside)
+    inside[middle - 2 : middle + 3] = work.inside[middle - 2 : middle + 3].any()
+    stock = replace(work.heights, heights_mm=np.where(inside, 1.0, 0.0))
+    course = np.column_stack([np.full(40, 30.0), np.linspace(5, 25, 40)])
+    options = GrindingOptions(tool=tool, width_mm=3.0, depth_mm=0.5, leave_mm=0.02, step_mm=500.0)
+    way = tool_path(plan_grinding(replace(work, heights=stock, inside=inside, centreline_mm=course), options))
+    for path in (way, way.thinned(5.0)):
+        cut = np.flatnonzero((path.kinds[1:] == CUT) & (path.kinds[:-1] == CUT))
+        middles = (path.points[cut] + path.points[cut + 1]) / 2
+        radius = np.hypot(middles[:, 1] - 15.0, middles[:, 2] + 20.0)
+        at_points = np.hypot(path.points[path.kinds == CUT][:, 1] - 15.0, path.points[path.kinds == CUT][:, 2] + 20.0)
+        assert len(cut) > 4
+        assert radius.min() > at_points.min() - 0.03
+
+
 def test_preston_s_feed_and_force_cut_the_planned_depth():
     options = GrindingOptions(depth_mm=0.2, width_mm=3.0, force_n=20.0, feed_max_mm_s=30.0)
     plan = plan_grinding(flat_work(), options)

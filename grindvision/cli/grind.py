@@ -120,7 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("bead", "raster", "contour"),
         help="bead: along it; raster: in rows; contour: around (default: bead)",
     )
-    wheel.add_argument("--step", type=number, metavar="MM", help="between path points (default: 1)")
+    wheel.add_argument("--step", type=number, metavar="MM", help="between path points at most (default: 1)")
     wheel.add_argument("--leave", type=number, metavar="MM", help="left standing (default: 1.5 sigma of the surface)")
     wheel.add_argument("--passes", type=whole, metavar="N", help="plan so many passes at most, to scan after them")
     process = parser.add_argument_group("process")

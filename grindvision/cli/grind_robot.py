@@ -21,7 +21,7 @@ LANGUAGES = ("rapid", "krl", "ls", "jbi", "urscript")
 #: Names of all files that a programme may have; those of another language are removed.
 PROGRAM_FILES = tuple(f"grind*.{ending}" for ending in ("script", "mod", "src", "dat", "ls", "jbi"))
 
-#: Places of a programme along a cut are so far apart at least, mm.
+#: Places of a programme along a cut are so far apart at least where it is straight, mm.
 STEP_MM = 5.0
 
 

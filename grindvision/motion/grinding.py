@@ -240,7 +240,7 @@ def _strokes(
     floors = _floors(work, options, floor)
     strokes = []
     for line in lines:
-        poses = _poses(work.heights, resampled(line, options.step_mm))
+        poses = _poses(work.heights, resampled(line, options.path_step_mm))
         if poses is None:
             continue
         lifts = lifts_over(nodes, floors, poses, shape)

@@ -50,7 +50,7 @@ def tool_shape(options: GrindingOptions, highest_mm: float) -> ToolShape:
         high = min(highest_mm, radius)
         along = float(np.sqrt(high * (2 * radius - high)))
         return ToolShape(WHEEL, radius, options.width_mm / 2, 0.0, 0.0, along, options.width_mm / 2)
-    return ToolShape(DISC, radius, radius, options.contact_angle_rad, options.step_mm, 2 * radius, radius)
+    return ToolShape(DISC, radius, radius, options.contact_angle_rad, options.path_step_mm, 2 * radius, radius)
 
 
 def nodes_of(heights: HeightMap) -> Nodes:

@@ -15,6 +15,10 @@ TOOLS = ("wheel", "disc")
 """A wheel grinds with its circumference, its axis across the feed; a disc with its face, tilted forward."""
 
 
+CHORD_MM = 0.01
+"""So far the straight way from place to place may leave the planned one: a tenth of a usual depth of cut, a fifth of the
+0.05 mm that may be cut under the good surface."""
+
 CUSP = 0.15
 """Height, in depths of cut, of what a tilted disc may leave between neighbouring lines."""
 
@@ -25,12 +29,12 @@ class GrindingOptions:
 
     The wheel: ``tool`` of ``TOOLS``, ``radius_mm``, ``width_mm`` (of a wheel), ``contact_angle_rad`` (of a disc against
     the surface). The cut: ``depth_mm`` per pass along the normal, ``overlap`` of neighbouring lines as a fraction of
-    the contact's width, ``pattern`` of ``PATTERNS``, ``step_mm`` between path points, ``leave_mm`` that the last pass
-    leaves standing (left out: 1.5 standard deviations of the good surface), ``passes_max`` to be planned now (left out:
-    all). The process: ``force_n`` and feed (``feed_min_mm_s`` to ``feed_max_mm_s``) limits, ``surface_speed_m_s`` of
-    the wheel, ``k_mm2_n`` Preston's coefficient: depth = k p v t. The ways: ``lead_mm`` and ``lead_height_mm`` of
-    lead-in and lead-out, ``retract_mm`` between lines, ``keep_out_mm`` to what must stay, ``lead_angle_rad`` by which
-    the tool's axis leans forward.
+    the contact's width, ``pattern`` of ``PATTERNS``, ``step_mm`` between path points at most (see ``path_step_mm``),
+    ``leave_mm`` that the last pass leaves standing (left out: 1.5 standard deviations of the good surface),
+    ``passes_max`` to be planned now (left out: all). The process: ``force_n`` and feed (``feed_min_mm_s`` to
+    ``feed_max_mm_s``) limits, ``surface_speed_m_s`` of the wheel, ``k_mm2_n`` Preston's coefficient: depth = k p v t.
+    The ways: ``lead_mm`` and ``lead_height_mm`` of lead-in and lead-out, ``retract_mm`` between lines, ``keep_out_mm``
+    to what must stay, ``lead_angle_rad`` by which the tool's axis leans forward.
     """
 
     tool: str = "wheel"
@@ -79,6 +83,11 @@ class GrindingOptions:
             raise InputError(f"feeds of {self.feed_min_mm_s:g} to {self.feed_max_mm_s:g} mm/s are no range")
         if self.passes_max is not None and self.passes_max < 1:
             raise InputError(f"{self.passes_max} passes were asked for; give 1 at least")
+
+    @property
+    def path_step_mm(self) -> float:
+        """Distance of path points: ``step_mm``, or less where an arc of the tool's radius leaves its chord sooner."""
+        return min(self.step_mm, float(np.sqrt(8 * self.radius_mm * CHORD_MM)))
 
     @property
     def contact_width_mm(self) -> float:

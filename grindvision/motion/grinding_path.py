@@ -12,6 +12,7 @@ from grindvision.errors import InputError
 from grindvision.geometry import move_points, rotate_vectors
 from grindvision.geometry.transforms import check_rigid, rotation_about
 from grindvision.motion.grinding import GrindingPass, GrindingPlan, Stroke
+from grindvision.motion.grinding_options import CHORD_MM
 from grindvision.motion.trajectory import Trajectory
 from grindvision.records import by_content
 from grindvision.words import counted
@@ -63,16 +64,25 @@ class ToolPath:
         )
 
     def thinned(self, step_mm: float) -> ToolPath:
-        """Return the way with the places of each cut at least ``step_mm`` apart; ends and ways in and out stay."""
+        """Return the way with the places of each cut at least ``step_mm`` apart where it is straight, closer where a
+        place left out would lie more than ``CHORD_MM`` beside the straight line that is driven instead; ends and ways
+        in and out stay."""
         if not step_mm > 0:
             raise InputError(f"a step of {step_mm} mm was asked for; give a length above zero")
         keep = np.ones(len(self), dtype=bool)
         last = 0
         for at in range(1, len(self) - 1):
             inner = self.kinds[at - 1] == self.kinds[at] == self.kinds[at + 1] == CUT
-            keep[at] = not inner or bool(np.linalg.norm(self.points[at] - self.points[last]) >= step_mm - 1e-9)
+            far = bool(np.linalg.norm(self.points[at] - self.points[last]) >= step_mm - 1e-9)
+            keep[at] = not inner or far or self._sagitta_mm(last, at + 1) > CHORD_MM
             last = at if keep[at] else last
         return ToolPath(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+    def _sagitta_mm(self, first: int, last: int) -> float:
+        """Largest distance of the places between two from the straight line through these."""
+        chord = self.points[last] - self.points[first]
+        off = np.cross(self.points[first + 1 : last] - self.points[first], chord)
+        return float(np.linalg.norm(off, axis=1).max() / max(np.linalg.norm(chord), 1e-12))
 
     def trajectory(self, lead_angle_rad: float = 0.0) -> Trajectory:
         """Poses of the tool: z opposite to the normal, x along the line, leaning forward by the lead angle.
