@@ -11,9 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from numpy.typing import ArrayLike, NDArray
 
+from grindvision.cli.relief import draw_relief
 from grindvision.vision.seam.groove_lines import DetectedGroove
 
 Floats = NDArray[np.float64]
+
+#: Colour of a shaded surface where it looks at the eye.
+SURFACE = "#bbbbbb"
 
 
 def overlap_percent(found: ArrayLike, truth: ArrayLike) -> float:
@@ -55,12 +59,26 @@ def draw_cloud(
     """Scatter points (N, 3) of the camera frame as the camera sees them: x to the right, y down."""
     points = np.asarray(points)
     drawn = axes.scatter(points[:, 0], points[:, 1], c=colours, s=size, linewidths=0, rasterized=True, **options)
+    _look_through_camera(axes, title)
+    return drawn
+
+
+def draw_surface(axes: Axes, points: ArrayLike, colour: str, title: str = "", size_mm: float = 0.0) -> float:
+    """Draw points (N, 3) of the camera frame as a shaded surface, as the camera sees them; returns its cells' size, mm.
+
+    ``size_mm`` as ``draw_relief`` takes it.
+    """
+    points = np.asarray(points, dtype=float)
+    _look_through_camera(axes, title)
+    return draw_relief(axes, points[:, :2], -points[:, 2], colour, size_mm=size_mm)
+
+
+def _look_through_camera(axes: Axes, title: str) -> None:
     axes.set(aspect="equal", title=title, xticks=[], yticks=[])
     if not axes.yaxis_inverted():
         axes.invert_yaxis()
     for side in axes.spines.values():
         side.set_visible(False)
-    return drawn
 
 
 def normal_colours(normals: ArrayLike) -> Floats:

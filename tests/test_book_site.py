@@ -1,10 +1,12 @@
 """The HTML book as files: complete, readable without its own scripts, and with no dead link; no browser needed."""
 
+import io
 import re
 import zipfile
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,12 +25,14 @@ from grindvision_book.site.pictures import (
     BRIGHT,
     DARK,
     HEAVY_BYTES,
+    LEAST_LUMA,
     _write_dark_picture,
     dark_svg,
     light_copies,
     lightened,
     tables_in,
 )
+from grindvision_book.site.playbacks import dot_size_mm
 from grindvision_book.site.scenes import SCENES
 from tests.built_site import SAID, Page
 
@@ -222,6 +226,13 @@ def test_scenes_stand_under_the_figures_they_belong_to(whole_site):
     assert "scenes/welds.html" in text_of(whole_site, "notebooks/10_finding_weld_grooves.html")
 
 
+def test_dots_of_a_playback_are_as_wide_as_the_points_lie_apart():
+    lattice = np.stack(np.meshgrid(np.arange(0, 80, 2.0), np.arange(0, 80, 2.0), [0.0]), axis=-1).reshape(-1, 3)
+    assert dot_size_mm(lattice) == pytest.approx(2.0)
+    strewn = np.random.default_rng(1).uniform(0, 80, (1600, 3)) * [1, 1, 0]
+    assert 2.0 < dot_size_mm(strewn) < 3.0
+
+
 def test_citations_agree_and_no_doi_is_made_up():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     references = (ROOT / "grindvision_book" / "site_sources" / "references.md").read_text(encoding="utf-8")
@@ -282,6 +293,27 @@ def test_a_dark_drawing_turns_greys_and_keeps_colours():
     pale = dark_svg('<svg x="1"><path style="fill: #dbe9f6"/><path style="stroke: #cc79a7"/></svg>')
     assert "#cc79a7" in pale and max(bytes.fromhex(re.findall(r"fill: #(\w+)", pale)[0])) < 70
     assert "#d55e00" in dark and '<g style="fill: #ffffff" transform' in dark
+
+
+def test_text_and_lines_of_a_dark_drawing_stand_out_from_what_is_behind_them():
+    fig, axes = plt.subplots()
+    boxes = {"black": "#000000", "blue": "#0072b2", "orange": "#e69f00"}
+    for place, colour in enumerate(boxes.values()):
+        axes.text(0, place, "x", color="white", bbox={"fc": colour, "ec": "none"})
+    axes.text(0, 3, "x", color="#444444")
+    axes.text(0, 4, "x", color="white")  # on a dark map
+    axes.plot([0, 1], [0, 1], color="#440154")
+    drawing = io.StringIO()
+    fig.savefig(drawing, format="svg")
+    plt.close(fig)
+    dark = dark_svg(drawing.getvalue())
+    texts = re.findall(r'style="fill: (#\w+)" transform', dark)
+    assert texts == ["#141414", "#ffffff", "#ffffff", "#a8a8a8", "#ffffff"]
+    assert "#440154" not in dark
+    (line,) = {code for code in re.findall(r"stroke: #(\w{6})", dark) if len(set(re.findall("..", code))) > 1}
+    red, green, blue = bytes.fromhex(line)
+    assert 0.2126 * red + 0.7152 * green + 0.0722 * blue == pytest.approx(LEAST_LUMA, abs=1)
+    assert blue > red > green  # still a violet
 
 
 def test_the_data_of_the_papers_can_be_handed_out(whole_site):

@@ -12,36 +12,25 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 import grindvision_book as book
+from grindvision_book.chapter_10 import SURFACE, draw_surface
 from grindvision_book.chapter_15.study import Looked
 
 Floats = NDArray[np.float64]
 COLOURS = book.COLOURS
 
-#: Where the light of the shaded clouds stands, in the camera's frame: over the viewer's left shoulder.
-_LIGHT = np.array([-0.5, -0.6, -0.62])
 #: A section is a slice so thick, mm.
 SLICE_MM = 4.0
 
 
-def draw_shaded(axes: Axes, looked: Looked, count: int = 9000) -> None:
-    """A cloud as the camera sees it, shaded by the true normals of its points, with the true and the found seam."""
-    scan = looked.scene.scan
-    shown = np.sort(np.random.default_rng(0).permutation(len(scan.points))[:count])
-    bright = 0.45 + 0.5 * np.clip(scan.true_normals[shown] @ _LIGHT, 0, 1)
-    points = looked.scene.points[shown]
-    axes.scatter(
-        points[:, 0], points[:, 1], c=bright, s=1.2, cmap="gray", vmin=0, vmax=1.05, linewidths=0, rasterized=True
-    )
+def draw_shaded(axes: Axes, looked: Looked) -> None:
+    """A cloud as the camera sees it, shaded, with the true and the found seam."""
+    draw_surface(axes, looked.scene.points, SURFACE)
     truth = looked.scene.root_mm
     axes.scatter(truth[:, 0], truth[:, 1], s=5, color=COLOURS["truth"], linewidths=0, zorder=3, label="true seam")
     if looked.seam is not None:
         root = looked.seam.root
         line = np.concatenate([root, root[:1]]) if looked.seam.closed else root
         axes.plot(line[:, 0], line[:, 1], color=COLOURS["ours"], lw=1.3, zorder=4, label="found")
-    axes.set(aspect="equal", xticks=[], yticks=[])
-    axes.invert_yaxis()
-    for side in axes.spines.values():
-        side.set_visible(False)
 
 
 def draw_gallery(looks: Mapping[str, Looked], caption: str) -> None:

@@ -6,7 +6,7 @@ import base64
 import html
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 #: A drawing in SVG that is heavier than this many bytes is shown as a WebP picture instead.
-HEAVY_BYTES = 75_000
+HEAVY_BYTES = 90_000
 
 #: Widest picture in a page, in pixels: nearly twice the column of text on a desk.
 WIDEST_PX = 1200
@@ -30,6 +30,13 @@ DARK, BRIGHT = 20, 222
 
 #: Colours whose channels differ by no more are grey.
 _GREY = 24
+
+#: Least luma (weighted mean of the channels, 0 to 255) of a line's colour on the dark ground: three times as bright as
+#: the ground, as WCAG asks of what is no text.
+LEAST_LUMA = 95
+
+#: The box of a text, as Matplotlib draws it just before the text: what stands behind its outline.
+_BOX = re.compile(r'"([^"<>]*)"/>\s*</g>\s*<!--[^>]*-->\s*<g style="fill: $')
 
 
 @dataclass(frozen=True)
@@ -82,17 +89,22 @@ def dark_copies(folder: Path, target: Path, light: Mapping[str, str]) -> None:
 
 
 def dark_svg(svg: str) -> str:
-    """A drawing of Matplotlib with greys from white to black turned into greys from ``DARK`` to light."""
+    """A drawing of Matplotlib with greys from white to black turned into greys from ``DARK`` to light.
+
+    Colours too deep for a dark ground become brighter; white text on a colour stays as it is.
+    """
 
     def turned(match: re.Match[str]) -> str:
-        red, green, blue = (int(match[1][k : k + 2], 16) for k in (0, 2, 4))
-        if max(red, green, blue) - min(red, green, blue) > _GREY:
-            less = round(float(_ground()[min(red, green, blue)]))
-            return f"#{red - less:02x}{green - less:02x}{blue - less:02x}" if less else match[0]
-        return f"#{round(_on_dark(red)):02x}{round(_on_dark(green)):02x}{round(_on_dark(blue)):02x}"
+        colour = _channels(match[1])
+        if match[2] and not _stands_on_ground(match, colour):
+            return match[0]
+        if _is_grey(colour):
+            middle = sum(colour) / 3  # a tint keeps its hue
+            return _hex([_on_dark(middle) + channel - middle for channel in colour]) + match[2]
+        less = float(_ground()[min(colour)])
+        return _hex([channel - less for channel in colour] if less else _bright_enough(colour)) + match[2]
 
-    # Text with a colour of its own (a group that is moved to its place) was made for what is behind it.
-    drawing = re.sub(r'#([0-9a-fA-F]{6})\b(?!" transform=)', turned, svg)
+    drawing = re.sub(r'#([0-9a-fA-F]{6})\b((?:" transform=)?)', turned, svg)
     drawing = re.sub(r'(data:image/png;base64,)([^"]+)', _dark_layer, drawing)
     # What has no fill of its own, such as text, is black.
     text = f"{round(_on_dark(0)):02x}"
@@ -163,6 +175,36 @@ def _ground() -> np.ndarray:
 
 def _on_dark(grey: float) -> float:
     return BRIGHT + (DARK - BRIGHT) * grey / 255
+
+
+def _channels(code: str) -> list[int]:
+    return [int(code[k : k + 2], 16) for k in (0, 2, 4)]
+
+
+def _hex(colour: Sequence[float]) -> str:
+    return "#" + "".join(f"{round(channel):02x}" for channel in colour)
+
+
+def _is_grey(colour: Sequence[int]) -> bool:
+    return max(colour) - min(colour) <= _GREY
+
+
+def _stands_on_ground(text: re.Match[str], colour: Sequence[int]) -> bool:
+    """Whether a text with a colour of its own is turned with the ground, or with a grey box of its own.
+
+    Text that could not be read on white, and text in a box of a colour, was made for what is behind it.
+    """
+    if box := _BOX.search(text.string, max(text.start() - 1000, 0), text.start()):
+        fill = re.search(r"fill: #([0-9a-fA-F]{6})", box[1])
+        return fill is None or _is_grey(_channels(fill[1]))
+    return _is_grey(colour) and max(colour) < 200
+
+
+def _bright_enough(colour: Sequence[float]) -> list[float]:
+    """A colour mixed with as much white as it needs to be ``LEAST_LUMA``."""
+    luma = 0.2126 * colour[0] + 0.7152 * colour[1] + 0.0722 * colour[2]
+    white = max((LEAST_LUMA - luma) / (255 - luma), 0.0)
+    return [channel + white * (255 - channel) for channel in colour]
 
 
 def _darkened(picture: Image.Image) -> Image.Image:

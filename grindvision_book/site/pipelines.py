@@ -23,6 +23,7 @@ from grindvision.vision.registration.verification import choose_pose
 from grindvision.vision.seam.gfh_groove import find_groove_gfh
 from grindvision.vision.seam.seam_path import root_path
 from grindvision.vision.surface import scan
+from grindvision_book.chapter_10 import even_rows
 from grindvision_book.machinery.frames import AXIS_COLOURS
 from grindvision_book.machinery.session import COLOURS
 from grindvision_book.site.playbacks import Dots, Pipeline, Playback, Rods, Step, View, arrows, chain, shaded
@@ -109,13 +110,13 @@ def _part_layers(run: _Grinding, most_points: int) -> tuple[Dots | Rods, ...]:
         Dots(
             f"signed difference, {LOW_MM} to {HIGH_MM} mm",
             run.change.surfels[compared],
-            colormaps["cividis"](heights)[:, :3],
-            to_hex(colormaps["cividis"](1.0)),
+            colormaps["YlOrRd"](heights)[:, :3],
+            to_hex(colormaps["YlOrRd"](1.0)),
             moves=True,
         ),
         Rods(
             "path points and normals",
-            np.vstack([chain(run.path_points, 0.6), arrows(run.path_points, run.path_normals, 18.0, 0.7)]),
+            np.vstack([chain(run.path_points, 1.0), arrows(run.path_points, run.path_normals, 18.0, 1.0)]),
             COLOURS["ours"],
             moves=True,
         ),
@@ -146,7 +147,7 @@ def _grinding_steps(run: _Grinding, names: list[str]) -> tuple[Step, ...]:
         poses("registered", "ICP at rest, with the whole scan.", rest),
         step(
             "difference",
-            "Signed distance along the good part's normals: what stands out is yellow.",
+            "Signed distance along the good part's normals: what stands out is red.",
             f"the bead stands {peak_mm:.2f} mm above the good part",
             (signed,),
             rest,
@@ -217,7 +218,7 @@ def welding(most_points: int) -> Pipeline:
     path = root_path(ours.grooves[0], 16)
     turn = np.diag([1.0, -1.0, -1.0])  # the camera looks down: x right, y up, z towards the reader
     middle = scene.points.mean(axis=0)
-    shown = np.sort(np.random.default_rng(SEED).permutation(len(scene.points))[:most_points])
+    shown = even_rows(scene.points, most_points)
     normals = theirs.normals[shown] @ turn.T
     spread_deg = theirs.features.spread_deg
     widths = colormaps["cividis"](np.clip(spread_deg[shown] / HIGH_SPREAD_DEG, 0, 1))[:, :3]
@@ -239,7 +240,7 @@ def welding(most_points: int) -> Pipeline:
     points, way = place(scene.points[shown]), arrows(place(path.points), path.normals @ turn.T, 22.0, 0.7)
     layers: tuple[Dots | Rods, ...] = (
         *(Dots(name, points, colours, swatch) for name, colours, swatch in looks),
-        Rods("root of the groove", chain(place(ours.grooves[0].root), 0.5), COLOURS["printed"]),
+        Rods("root of the groove", chain(place(ours.grooves[0].root), 1.6), COLOURS["printed"]),
         Rods("way points, torch direction", way, COLOURS["test"]),
     )
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 PLAYER = Path(__file__).with_name("player")
+#: How far the player's camera opens, upwards.
+VIEW_ANGLE_DEG = 30.0
 _LIGHT = np.array([0.3, -0.5, 0.81])
 
 
@@ -37,7 +39,6 @@ class Dots:
     colours: Floats
     colour: str
     moves: bool = False
-    size_mm: float = 1.3
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,17 @@ def chain(points: ArrayLike, radius_mm: float) -> Floats:
     return np.hstack([line[:-1], line[1:], np.full((len(line) - 1, 1), radius_mm)])
 
 
+def dot_size_mm(points: Floats) -> float:
+    """How wide dots must be so that a surface of points (N, 3) closes: as far as the fourth neighbour.
+
+    On a square lattice that is the side of a square.
+    """
+    from scipy.spatial import cKDTree
+
+    few = points[:: max(len(points) // 2000, 1)]
+    return float(np.median(cKDTree(points).query(few, min(5, len(points)))[0][:, -1]))
+
+
 def _packed(pipeline: Pipeline, caption: str) -> dict[str, Any]:
     names = [layer.name for layer in pipeline.layers]
     return {
@@ -171,7 +183,8 @@ def _packed_layer(layer: Dots | Rods) -> dict[str, Any]:
     return {
         **head,
         "kind": "points",
-        "size_mm": layer.size_mm,
+        # three.js draws a dot as large as a camera that opens by 90 degrees would see it
+        "size_mm": round(dot_size_mm(layer.points) / np.tan(np.radians(VIEW_ANGLE_DEG / 2)), 3),
         "unit_mm": unit_mm,
         "centre_mm": centre.tolist(),
         "positions": base64.b64encode(positions.tobytes()).decode(),
@@ -191,7 +204,7 @@ def _draw_picture(pipeline: Pipeline, target: Path) -> None:
         if layer.name in step.layers:
             _draw_layer(plotter, layer, step.pose if layer.moves else np.eye(4))
     view = pipeline.views[step.view]
-    plotter.camera.view_angle = 30.0
+    plotter.camera.view_angle = VIEW_ANGLE_DEG
     plotter.camera_position = [tuple(view.eye), tuple(view.centre), tuple(view.up)]
     plotter.reset_camera_clipping_range()
     picture = Image.fromarray(plotter.screenshot(return_img=True)).quantize(64, dither=Image.Dither.NONE)
