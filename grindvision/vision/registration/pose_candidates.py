@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import angle_between, move_points
-from grindvision.geometry.hash_grid import random_order
+from grindvision.geometry.hash_grid import build_cells, random_order
+from grindvision.geometry.neighbours import nearest
 from grindvision.parallel import parallel_map
 from grindvision.vision.registration.agreement import Agreement, agreeing_fraction
 from grindvision.vision.registration.depth_image import depth_image
 from grindvision.vision.registration.evidence import AGREES, Evidence, judge, side
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
+from grindvision.vision.surface.rims import point_spacing
 from grindvision.vision.surface.scan import Scan
 from grindvision.vision.surface.surfels import Surfels
 
@@ -27,6 +29,10 @@ SURE_AGREEMENT = 0.8
 
 MAX_HARD = 0.002
 """Fraction of surfels in front of what the other scanner saw above which a better pose is sought longer."""
+
+OFF_SPACINGS, ON_SPACINGS = 1.2, 0.6
+"""A point that lies so many spacings of its scan off a whole model is none of its surface, and one within the second
+is: the model's own points are 0.6 apart or nearer, and of a plate's rims at rest hardly a point was farther than 1."""
 
 REFINED, RESTING = 300, 1000
 """Surfels that bring a proposed pose near, and to rest."""
@@ -69,6 +75,8 @@ class PoseJudge:
         self.centre = self.points.mean(axis=0)
         self.extent = float(np.sqrt(((self.points - self.centre) ** 2).sum(axis=1).mean()))
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
+        self._scans = source, target
+        self._off: dict[bytes, Floats] = {}
 
     def axes(self) -> Floats:
         """Columns (3, 3): the ``principal_axes`` of ``points``."""
@@ -154,6 +162,28 @@ class PoseJudge:
         """Share (K,) of some surfels that agree roughly at each of ``poses`` (K, 4, 4)."""
         some, normals, within = self.points[:REFINED], self.normals[:REFINED], 6 * self.within_mm
         return np.array([agreeing_fraction(some, normals, self.coarse, pose, within) for pose in poses])
+
+    def off_model_at(self, pose: Floats, other: Floats) -> float:
+        """So many more of the source's surfels lie off a whole model at a ``pose`` than at ``other``, by all points of
+        the scan: the planes of surfels about a small hole reach over it.
+
+        Counted are points that are clearly off at one pose and clearly on at the other, so that a bead, a clamp or a
+        pose a little off count at neither.
+        """
+        one, two = (self._distances_off(each) for each in (pose, other))
+        more, fewer = ((a > OFF_SPACINGS) & (b < ON_SPACINGS) for a, b in ((one, two), (two, one)))
+        return float(more.mean() - fewer.mean()) * len(self._scans[0].surfels)
+
+    def _distances_off(self, pose: Floats) -> Floats:
+        """Distances (P,) of the source's points from a whole model, infinite for far ones: in spacings of the points,
+        or in the distance within which surfaces agree where that is larger."""
+        if pose.tobytes() not in self._off:
+            source, model = self._scans
+            spacing = max(point_spacing(source), self.within_mm)
+            cells = build_cells(model.points, OFF_SPACINGS * spacing)
+            _, away = nearest(cells, move_points(pose, source.points), OFF_SPACINGS * spacing)
+            self._off[pose.tobytes()] = away / spacing
+        return self._off[pose.tobytes()]
 
     def residuals(self, pose: Floats) -> Floats:
         """Distances (N,) of the source's samples along the target's normals, NaN where the surfaces do not meet."""

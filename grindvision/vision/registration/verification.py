@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from grindvision.errors import AmbiguousError, DegenerateError
 from grindvision.parallel import one_blas_thread
 from grindvision.vision.registration.agreement import Agreement
-from grindvision.vision.registration.evidence import LOST
+from grindvision.vision.registration.evidence import HARD, LOST
 from grindvision.vision.registration.face_poses import face_poses
 from grindvision.vision.registration.free_motions import motion_name, motion_names
 from grindvision.vision.registration.icp import FineRegistration
@@ -63,6 +63,9 @@ ALIKE = 12.0
 
 CHANCE = 1.5
 """Logarithm of the odds that the best of several equal poses has by chance."""
+
+UNDECIDED = 9.0
+"""Logarithm of the odds up to which more is asked than surfels: all points of a scan, where the other is a model."""
 
 NEAR = 6.0
 """Poses apart by less than so many of the least differences (``PoseJudge.differ``) are neighbours."""
@@ -168,9 +171,13 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
     """
     ratios = _log_ratios(judge, best, rivals)
     for _ in range(2):
-        if not ratios or min(ratios) > 0 or judge.differ(rivals[int(np.argmin(ratios))].pose, best.pose, NEAR):
+        if (
+            not ratios
+            or min(ratios) > 0
+            or (judge.differ(rivals[int(np.argmin(ratios))].pose, best.pose, NEAR) and not judge.whole)
+        ):
             break
-        better = int(np.argmin(ratios))  # a neighbour whose residuals are smaller
+        better = int(np.argmin(ratios))  # a neighbour whose residuals are smaller, or that small holes tell
         best, rivals = rivals[better], [best, *rivals[:better], *rivals[better + 1 :]]
         ratios = _log_ratios(judge, best, rivals)
     found = judge.agreement(best.pose)
@@ -200,8 +207,9 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
 def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) -> list[float]:
     """Logarithms of the odds for the best pose against its rivals.
 
-    What lies beside a scan's outline decides nothing; beside a whole model's there is no part. Between poses near each
-    other the residuals where the surfaces meet in both tell more than the rest.
+    What lies beside a scan's outline decides nothing; beside a whole model's there is no part, and in its holes, of
+    which small ones are asked where the rest does not decide. Between poses near each other the residuals where the
+    surfaces meet in both tell more than the rest.
     """
     one, sharp = judge.evidence(best.pose, None), judge.residuals(best.pose)
     sizes = np.abs(sharp[np.isfinite(sharp)])
@@ -217,6 +225,8 @@ def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) 
             both = both[:, np.isfinite(both).all(axis=0)]
             costs = np.minimum((both / spread) ** 2, 9).sum(axis=1)
             ratio += 0.5 * (costs[1] - costs[0]) * judge.surfels / (2 * len(judge.source.points)) / ALIKE
+        if judge.whole and ratio < UNDECIDED:
+            ratio += HARD * judge.off_model_at(rival.pose, best.pose)
         ratios.append(float(ratio))
     return ratios
 
