@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from numpy.typing import ArrayLike, NDArray
 
-from grindvision.cli.relief import draw_relief
+from grindvision.relief import draw_relief
 from grindvision.vision.seam.groove_lines import DetectedGroove
 
 Floats = NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from grindvision.cli.relief import draw_relief, rasterised
+from grindvision.relief import draw_relief, rasterised
 
 
 def rows_of_a_scan(step_mm: float = 1.0, between_mm: float = 1.9):

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grindvision.cli.pictures import save_png
-from grindvision.cli.relief import draw_relief, name_colour, rasterised
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
 from grindvision.geometry import inverse, move_points
+from grindvision.relief import draw_relief, name_colour, rasterised
 from grindvision.words import counted
 
 with extra("plot"):

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grindvision.cli.pictures import save_png
-from grindvision.cli.relief import draw_relief
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
+from grindvision.relief import draw_relief
 
 with extra("plot"):
     from matplotlib.axes import Axes
