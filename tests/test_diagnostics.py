@@ -2,6 +2,8 @@
 
 import re
 import warnings
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError, UnitError
 from grindvision.geometry import move_points, random_rotation, rigid
 from grindvision.vision.change.detection import DetectOptions, detect
-from grindvision.vision.registration import pose_candidates
+from grindvision.vision.registration import verification
 from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.scan_registration import register
 from grindvision.vision.surface.dominant_plane import plane_fraction
@@ -28,16 +30,21 @@ def test_one_scan_in_another_unit(case, factor):
         detect(case.sample, case.test * factor)
 
 
-@pytest.mark.parametrize("mirror", [np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1]), np.eye(3)[[1, 0, 2]]])
-@pytest.mark.parametrize("told", [False, True])
-def test_a_mirrored_scan_is_named(case, mirror, told):
+MIRRORS = {"y": np.diag([1.0, -1, 1]), "z": np.diag([1.0, 1, -1]), "x and y": np.eye(3)[[1, 0, 2]]}
+#: Each mirror, and each kind of viewpoint, in every run; all pairs of the two in `./run laws`.
+ALL_RUNS = (("y", False), ("z", True), ("x and y", False))
+FULL_RUNS = (("y", True), ("z", False), ("x and y", True))
+
+
+@pytest.mark.parametrize(("axis", "told"), [*ALL_RUNS, *(pytest.param(*p, marks=pytest.mark.full) for p in FULL_RUNS)])
+def test_a_mirrored_scan_is_named(case, axis, told):
     options = DetectOptions(viewpoint_test_mm=np.zeros(3) if told else None)
     named = r"mirror image.*\(overlap \d+%, of it \d+% in agreement\).*--mirrored"
     with pytest.raises((InputError, AmbiguousError), match=named):
-        detect(case.sample, case.test @ mirror.T, options)
+        detect(case.sample, case.test @ MIRRORS[axis].T, options)
 
 
-@pytest.mark.parametrize("seed", [12, 13, 14])
+@pytest.mark.parametrize("seed", [12, *(pytest.param(seed, marks=pytest.mark.full) for seed in (13, 14))])
 def test_a_sparse_mirrored_scan_that_leaves_a_motion_free_is_named_too(seed):
     sparse = pair(seed=seed, n_points=3_000, beads=[arc_bead()])
     told = r"mirror image.*\(overlap \d+%.*--mirrored"
@@ -100,14 +107,18 @@ def test_a_wheel_is_ambiguous_and_not_mirrored(seed):
     assert "mirror" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(("agreeing", "contradicting"), [(0.44, 0.29), (0.2, 0.1), (0.1, 0.05), (0.5, 0.45)])
-def test_a_refusal_names_a_bound_that_was_missed(case, agreeing, contradicting, monkeypatch):
-    found = Agreement(agreeing, contradicting)
-    monkeypatch.setattr(pose_candidates.PoseJudge, "agreement", lambda *_: found)
-    with pytest.raises(DegenerateError, match="do not fit") as refusal:
-        detect(case.sample, case.test)
-    overlap, share, least_overlap, least_share = map(int, re.findall(r"(\d+)%", str(refusal.value)))
-    assert overlap < least_overlap or share < least_share
+@pytest.mark.parametrize("overlap", [0.1, 0.19, 0.21, 0.3, 0.73, 0.95])
+@pytest.mark.parametrize("fraction", [0.45, 0.5, 0.6, 0.67, 0.69, 0.71, 0.76, 0.9])
+def test_a_refusal_names_a_bound_that_was_missed(overlap, fraction):
+    found = Agreement(overlap * fraction, overlap * (1 - fraction))
+    judge, best = SimpleNamespace(agreement=lambda _: found, within_mm=0.1), SimpleNamespace(pose=np.eye(4))
+    enough = overlap >= 0.2 and fraction >= 0.7 and found.score >= 0.15
+    with nullcontext() if enough else pytest.raises(DegenerateError, match="do not fit") as refusal:
+        verification._check_fit(judge, best)
+    if not enough:
+        seen, agreed, least_seen, least_agreed = map(int, re.findall(r"(\d+)%", str(refusal.value)))
+        assert (seen, agreed) == (round(100 * overlap), round(100 * fraction))
+        assert seen < least_seen or agreed < least_agreed
 
 
 def test_swapped_scans_are_said_and_a_good_part_is_not(case):

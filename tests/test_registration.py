@@ -429,6 +429,16 @@ def test_plane_icp_goes_on_until_a_step_is_a_thousandth_of_the_noise(prepared, c
     assert np.linalg.norm(step) < 2e-3 * found.rms_mm
 
 
+def test_a_far_search_goes_through_larger_cells_and_finds_the_same_planes(prepared, close, monkeypatch):
+    source, target = prepared
+    apart = close @ rigid(rotation_about((1, 0, 0), 0.1), (3.0, 0.0, 6.0))
+    asked = source.surfels.points, source.surfels.normals, target.surfels, apart, 12 * target.surfels.grid.size_mm
+    through_larger = plane_icp.plane_residuals(*asked)
+    monkeypatch.setattr(plane_icp, "FAR_CELLS", np.inf)
+    for one, other in zip(through_larger, plane_icp.plane_residuals(*asked), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_real_scan_agrees_as_well_however_it_lies_in_its_file(real_data):
     """At this turn the file's origin stands beside the line of sight; normals turned to it disagreed on a third."""
     from grindvision.clouds import read_cloud

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points, check_rigid, nearest_rotation, rigid
-from grindvision.geometry.hash_grid import CellGrid
+from grindvision.geometry.hash_grid import CellGrid, build_cells
 from grindvision.geometry.neighbours import nearest_one
 from grindvision.kernels import njit
 from grindvision.parallel import one_blas_thread
@@ -31,6 +31,9 @@ REMATCH_TOLERANCE = 0.005
 NORMAL_NOISE = 0.01
 """Error in radians of the surfels' normals: steps are damped as if so much were all that holds a motion, or the pose
 would wander along motions that nothing but this error resists."""
+
+FAR_CELLS = 8
+"""A search that goes farther than so many of the target's cells, most of them empty, goes through larger ones."""
 
 EVERY, MANY = 16, 10_000
 """Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
@@ -66,10 +69,10 @@ def icp_planes(
     normals = np.ascontiguousarray(source_normals, dtype=float)
     size = target.grid.size_mm
     max_mm = 3 * size if max_mm is None else float(max_mm)
-    limits = _limits(target, max_mm, REMATCH_TOLERANCE)
+    limits, grid = _limits(target, max_mm, REMATCH_TOLERANCE), _grid_to_search(target, max_mm)
 
     def icp(source: Floats, normals: Floats, start: Floats) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
-        return _plane_icp(source, normals, start, target.normals, target.grid, limits, float(min_scale_mm), iterations)
+        return _plane_icp(source, normals, start, target.normals, grid, limits, float(min_scale_mm), iterations)
 
     if len(source) > MANY:
         near, *_, pairs, _ = icp(source[::EVERY].copy(), normals[::EVERY].copy(), transform)
@@ -94,10 +97,15 @@ def plane_residuals(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
     ``max_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
-    found = _no_matches(len(source))
-    _match(source, source_normals, T_target_source, target.normals, target.grid, _limits(target, max_mm, 0.0), found)
+    found, grid = _no_matches(len(source)), _grid_to_search(target, max_mm)
+    _match(source, source_normals, T_target_source, target.normals, grid, _limits(target, max_mm, 0.0), found)
     shown = found.planes >= 0
     return np.where(shown, found.residuals, np.nan), shown & (found.facing > MIN_FACING)
+
+
+def _grid_to_search(target: Surfels, max_mm: float) -> CellGrid:
+    """The target's points in cells in which the nearest one within ``max_mm`` is soon found; it is the same in all."""
+    return target.grid if max_mm <= FAR_CELLS * target.grid.size_mm else build_cells(target.points, max_mm / 2)
 
 
 def _limits(target: Surfels, max_mm: float, rematch_tolerance: float) -> _Limits:
