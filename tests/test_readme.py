@@ -1,6 +1,9 @@
 """The README says what the scoreboard says, and links to what is there."""
 
+import argparse
+import importlib
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -39,6 +42,30 @@ def test_every_relative_link_and_picture_is_there():
     targets = re.findall(r"\]\(([^)#:]+)\)|(?:src|href)=\"([^\":]+)\"", README.read_text(encoding="utf-8"))
     missing = [target for pair in targets for target in pair if target and not (ROOT / Path(target)).exists()]
     assert targets and not missing
+
+
+COMMANDS = re.findall(r"(?:^|`)grindvision ([a-z][^`\n]*)", README.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_understood_as_it_is_written(command):
+    name, *words = shlex.split(command, comments=True)
+    parser = argparse.ArgumentParser()
+    importlib.import_module(f"grindvision.cli.{name.replace('-', '_')}").add_arguments(parser)
+    parser.parse_args(words)
+
+
+def test_decisions_and_rules_name_what_is_there():
+    roots = (ROOT, ROOT / "grindvision", ROOT / "grindvision_book")
+    pages = [*sorted((ROOT / "docs" / "decisions").glob("*.md")), ROOT / "CONTRIBUTING.md"]
+    named = {
+        (page.name, path)
+        for page in pages
+        for path in re.findall(r"`((?:[\w-]+/)+[\w.-]+\.\w+)`", page.read_text(encoding="utf-8"))
+        if not path.startswith("build/") and "NN" not in path
+    }
+    assert len(named) > 40
+    assert [pair for pair in sorted(named) if not any((root / pair[1]).exists() for root in roots)] == []
 
 
 def test_every_chapter_is_listed():

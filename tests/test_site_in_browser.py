@@ -137,6 +137,15 @@ def test_no_link_in_a_table_is_broken_inside_a_word_on_a_telephone(tab, whole_si
     assert tab.evaluate(BROKEN_WORDS) == []
 
 
+def test_the_scoreboard_of_the_front_page_is_a_table_on_a_desk_and_a_list_on_a_telephone(tab, whole_site):
+    tab.goto((whole_site / "index.html").as_uri())
+    board = tab.locator(".bd-article table").first
+    for width, stacked in zip(WIDTHS, (0, 1), strict=True):
+        tab.set_viewport_size({"width": width, "height": 900})
+        tab.evaluate(CUT_OFF)
+        assert board.locator("xpath=self::*[contains(@class, 'stacked')]").count() == stacked, width
+
+
 #: How JupyterLab sets tables (its ``rendermime`` styles), and the place of a cell's output.
 LAB = """<style>body {margin: 0} .jp-OutputArea-output {width: %dpx; overflow: auto; font: 13px sans-serif}
 table {border-collapse: collapse; table-layout: fixed; font-size: 13px} td, th {padding: 0.5em; white-space: normal}
