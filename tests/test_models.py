@@ -75,6 +75,20 @@ def test_rays_meet_what_a_plain_search_finds(count):
     assert count < 3 or any(expected)
 
 
+@pytest.mark.parametrize("count", [9, 60, 70])
+def test_no_way_goes_through_a_box_that_holds_nothing(count):
+    """Else every ray looks into all of them, up to half of the tree."""
+    rng = np.random.default_rng(count)
+    boxes = ray_tree(rng.uniform(0, 10, (count, 3, 3))).boxes[1:]
+    leaves = (len(boxes) + 1) // 2
+    holds_nothing = np.arange(leaves) >= -(-count // 4)
+    ways = rng.uniform(-1, 1, (200, 1, 3))
+    with np.errstate(invalid="ignore"):
+        ends = (boxes[-leaves:].reshape(leaves, 2, 3)[:, :, None] - 5.0) / ways.reshape(1, 1, -1, 3)
+    near, far = np.maximum(ends.min(axis=1).max(axis=-1), 0), np.minimum(ends.max(axis=1).min(axis=-1), 1)
+    assert (near > far)[holds_nothing].all() and np.isfinite(boxes[-leaves:][~holds_nothing]).all()
+
+
 # Which side is outside
 
 

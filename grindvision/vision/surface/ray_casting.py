@@ -59,6 +59,7 @@ def ray_tree(corners: ArrayLike) -> RayTree:
         level //= 2
         boxes[level : 2 * level, :3] = pairs[:, :, :3].min(axis=1)
         boxes[level : 2 * level, 3:] = pairs[:, :, 3:].max(axis=1)
+    boxes[np.isinf(boxes[:, 0]), 3:] = np.inf  # both corners of a box that holds nothing: no way goes through it
     return RayTree(boxes, corners)
 
 
