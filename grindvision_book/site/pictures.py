@@ -17,8 +17,9 @@ import numpy as np
 if TYPE_CHECKING:
     from PIL import Image
 
-#: A drawing in SVG that is heavier than this many bytes is shown as a WebP picture instead.
-HEAVY_BYTES = 90_000
+#: A drawing in SVG that is heavier than this many bytes is shown as a WebP picture instead, unless white text stands on
+#: colours in it: of pixels, what is text and what is ground cannot be told for the dark copy.
+HEAVY_BYTES = 75_000
 
 #: Widest picture in a page, in pixels: nearly twice the column of text on a desk.
 WIDEST_PX = 1200
@@ -62,7 +63,7 @@ def light_copies(folder: Path) -> dict[str, str]:
     """Write a WebP copy of every heavy drawing and every animation; returns file name -> name of its copy."""
     light = {}
     for path in sorted(folder.glob("*.svg")):
-        if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists():
+        if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists() and not _white_text_in(path):
             light[path.name] = f"{path.stem}.webp"
             _write_picture(path.with_suffix(".png"), folder / light[path.name])
     for path in sorted(folder.glob("*.gif")):
@@ -137,6 +138,10 @@ def lightened(text: str, light: Mapping[str, str]) -> str:
         return match["before"] + light.get(match["file"], match["file"])
 
     return re.sub(r"(?P<before>(?:!\[[^\]]*\]\(|src=\"|\{figure\} )[^)\"\s]*figures/)(?P<file>[\w.]+)", lighter, text)
+
+
+def _white_text_in(path: Path) -> bool:
+    return 'fill: #ffffff" transform=' in path.read_text(encoding="utf-8")
 
 
 def _metadata(svg: str, tag: str) -> str:
