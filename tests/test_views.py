@@ -52,7 +52,7 @@ def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in
 
 
 def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
-    poses, clouds = seen(0)
+    poses, clouds = seen(0, 4)
     plain = views._tie
 
     def wrong(fine, source):

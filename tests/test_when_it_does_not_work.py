@@ -18,6 +18,7 @@ from grindvision.clouds import write_ply
 from grindvision.geometry import rigid, rotation_about
 from grindvision.vision.seam.groove_fit import MIN_POINTS_ACROSS, MIN_WALL_SLOPE
 from tests.calibration_rig import ROBOT, as_table, er3a, rig, ur5
+from tests.doors_law import blank_pictures  # noqa: F401
 from tests.grinding_scene import arc_bead, on_a_table, pair, plate_height, scan, view
 from tests.groove_scenes import cloud, grid, straight_groove, vee
 from tests.hand_eye_scene import TARGET, looking_poses, seen_points, sphere_view
