@@ -49,9 +49,15 @@ MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
 MAX_PLATE_MM, MAX_LEAN_RAD = 25.0, np.radians(35.0)
 #: A step stands out by so many deviations; two levels closer than this fraction of the gap are the two sides of a butt.
 MIN_STEP_DEVIATIONS = 8.0
-#: Sides of a butt joint are at most so far apart in height, and so much turned against each other; where they end they
-#: turn down by less than this together: two tubes that lie side by side turn by a right angle and more.
+#: Sides of a butt joint are at most so far apart in height, and so much turned against each other. Where the surfaces
+#: of a gap or a step end they turn down by less than this together: two tubes that lie side by side turn by a right
+#: angle and more, and a tube on a table ends where the camera sees no more of it.
 MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD, MAX_FALL_RAD = 4.0, np.radians(10.0), np.radians(25.0)
+#: The place of an edge at which a surface ends is known within this fraction of a spacing; one that is not is no edge.
+MAX_EDGE_SIGMA_SPACINGS = 0.5
+#: A gap of so many spacings, as wide as a groove must be, shows less than this fraction of its points on walls. Those
+#: of a V hold 60 %.
+GROOVE_SPACINGS, MAX_ON_WALLS = 4.0, 0.3
 #: A gap shows something below it at this fraction of its stations, or is wider than so many spacings.
 MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
 #: A corner whose faces go on meeting for this fraction of its whole length is said to be followed in part.
@@ -186,7 +192,9 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
     shown = fit.shown
     step, width = float(np.median(fit.step_mm[shown])), float(np.median(fit.gap_mm[shown]))
     turn = float(np.median(vector_angle(fit.normals[0], fit.normals[1])[shown]))
-    if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_DIHEDRAL_RAD:
+    if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_DIHEDRAL_RAD or fit.fall_rad > MAX_FALL_RAD:
+        return None
+    if np.median(fit.sigma_mm[shown]) > MAX_EDGE_SIGMA_SPACINGS * scale.spacing:
         return None
     if fit.noise_mm > 2.5 * scale.noise + 0.08 * scale.cell:
         return None
@@ -196,8 +204,8 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
         wide = width > WIDE_GAP_SPACINGS * scale.spacing
         if (
             abs(step) > MAX_HI_LO_MM
-            or fit.fall_rad > MAX_FALL_RAD
             or not (seen > MIN_GAP_SEEN or wide)
+            or (width > GROOVE_SPACINGS * scale.spacing and fit.on_walls > MAX_ON_WALLS)
             or not scale.spacing < width < MAX_SPACINGS * scale.spacing
         ):
             return None

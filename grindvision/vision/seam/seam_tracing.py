@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from grindvision.geometry import vector_angle
 from grindvision.geometry.graphs import edge_graph, farthest, shortest_way, walking_distances
 
 Floats = NDArray[np.float64]
@@ -20,6 +21,12 @@ MAX_LATERAL_CELLS = 2.0
 JOIN_RAD = np.radians(25.0)
 #: So many of the longest pieces are looked at.
 MAX_PIECES = 40
+#: A seam turns a corner, round a plate's or to the next edge of a body, where two straight lines that turn by this
+#: leave less than this fraction of what an arc leaves, a ring's, over so many cells to both sides, at least and at
+#: most. So many cells at the corner itself, which pairs of surfaces show rounded, are left out. Places are so many
+#: cells apart.
+CORNER_RAD, CORNER_FRACTION = np.radians(50.0), 0.6
+CORNER_CELLS, ROUNDED_CELLS, PLACE_CELLS = (2.0, 5.0), 1.0, 0.5
 
 
 def trace_curves(places: Floats, along: Floats, size_mm: float, join_mm: float, min_length_mm: float) -> list[Floats]:
@@ -51,8 +58,53 @@ def trace_curves(places: Floats, along: Floats, size_mm: float, join_mm: float, 
         left = np.setdiff1d(left, np.concatenate(done))
     pieces = sorted((curve for curve in curves if _length(curve) > size_mm), key=lambda curve: -_length(curve))
     joined = _joined(pieces[:MAX_PIECES], join_mm, 1.5 * size_mm)
-    long_enough = [curve for curve in joined if _length(curve) >= min_length_mm]
+    straight_on = [part for curve in joined for part in cut_at_corners(curve, size_mm)]
+    long_enough = [curve for curve in straight_on if _length(curve) >= min_length_mm]
     return sorted(long_enough, key=lambda curve: -_length(curve))
+
+
+def cut_at_corners(curve: Floats, size_mm: float) -> list[Floats]:
+    """A curve (M, 3) in the parts between its corners; a seam is fitted as a smooth line, which no corner is."""
+    places = _dense(curve, PLACE_CELLS * size_mm)
+    least, most, rounded = (round(cells / PLACE_CELLS) for cells in (*CORNER_CELLS, ROUNDED_CELLS))
+    best: tuple[float, int] | None = None
+    for at in range(least + rounded, len(places) - least - rounded):
+        before = places[max(at - rounded - most, 0) : at - rounded + 1]
+        after = places[at + rounded : at + rounded + most + 1]
+        if vector_angle(_direction(before), _direction(after)) < CORNER_RAD:
+            continue
+        lines = np.sqrt(np.mean(np.concatenate([_off_line(before), _off_line(after)]) ** 2))
+        arc = _off_arc(places[max(at - rounded - most, 0) : at + rounded + most + 1])
+        if lines < CORNER_FRACTION * arc and (best is None or lines / arc < best[0]):
+            best = float(lines / arc), at
+    if best is None:
+        return [curve]
+    halves = places[: best[1] - rounded + 1], places[best[1] + rounded :]
+    return [part for half in halves for part in cut_at_corners(half, size_mm)]
+
+
+def _direction(places: Floats) -> Floats:
+    """Unit direction of places (K, 3) in order, from the first to the last."""
+    away = places - places.mean(axis=0)
+    way = np.linalg.svd(away, full_matrices=False)[2][0]
+    return np.asarray(way * np.sign(way @ (places[-1] - places[0])))
+
+
+def _off_line(places: Floats) -> Floats:
+    """Distances (K,) of places (K, 3) from the straight line through them."""
+    away, way = places - places.mean(axis=0), _direction(places)
+    return np.asarray(np.linalg.norm(away - np.outer(away @ way, way), axis=1))
+
+
+def _off_arc(places: Floats) -> float:
+    """Root mean square of the distances of places (K, 3) from the circle through them."""
+    away = places - places.mean(axis=0)
+    axes = np.linalg.svd(away, full_matrices=False)[2]
+    u, v, up = (away @ axis for axis in axes)
+    solution = np.linalg.lstsq(np.column_stack([2 * u, 2 * v, np.ones(len(u))]), u * u + v * v, rcond=None)[0]
+    radius = np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0.0))
+    off = np.hypot(u - solution[0], v - solution[1]) - radius
+    return float(np.sqrt(np.mean(off**2 + up**2)))
 
 
 def _linked(places: Floats, along: Floats, size_mm: float) -> Integers:

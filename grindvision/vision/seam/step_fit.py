@@ -23,8 +23,12 @@ Flags = NDArray[np.bool_]
 
 #: Points of a wall lie between these fractions of the step's height.
 WALL_HEIGHTS = 0.2, 0.8
+#: The bottom of a gap lies as deep as this percentile of the points in it.
+DEEPEST = 90
 #: With so many points on the wall per station its place is taken from them, otherwise from where the surfaces end.
 MIN_WALL_POINTS = 0.5
+#: A step goes on while more than this fraction of what lies beside it is up there: beyond a plate's corner it is gone.
+MIN_HIGH = 0.5
 #: Passes of fitting and prolonging: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 3, 12
 #: Bins in which the heights beside a gap show whether the surfaces fall towards it.
@@ -45,6 +49,7 @@ class EdgeFit:
     seen, ``noise_mm`` their scatter, ``members`` (K,) the points beside the seam, ``between`` (S,) the number of points
     inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to the lower one. ``fall_rad`` is by how
     much both surfaces together turn down where they end: next to nothing for two plates, a lot for two tubes.
+    ``on_walls`` is the fraction of the points in a gap that lie neither near its surfaces nor near its bottom.
     """
 
     curve: SeamCurve
@@ -61,6 +66,7 @@ class EdgeFit:
     between: Floats
     way: Floats
     fall_rad: float = 0.0
+    on_walls: float = 0.0
 
     @property
     def length_mm(self) -> float:
@@ -134,6 +140,7 @@ class _Edges:
     between: Integers
     side: float
     fall_rad: float
+    on_walls: float
 
 
 def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | None, scale: Scale) -> _Edges | None:
@@ -175,10 +182,19 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
     for counts in good:
         usual = np.median(counts[counts > 0])
         shown &= counts > 0.15 * usual
+    if height_mm is not None:
+        beside = (u < -near) & (u > -near - 1.5 * scale.cell)
+        high = np.bincount(station[beside & (v - lower > height / 2)], minlength=count)
+        shown &= high > MIN_HIGH * np.bincount(station[beside], minlength=count)
     shown = closed_runs(shown, 5)
     if shown.sum() < 4:
         return None
     per_station = np.bincount(station[between], minlength=count)
+    depth = (np.minimum(upper, lower) - v)[between]
+    bottom = np.percentile(depth, DEEPEST) if len(depth) else 0.0
+    on_walls = float(
+        ((depth > WALL_HEIGHTS[0] * bottom) & (depth < WALL_HEIGHTS[1] * bottom)).sum() / max(len(depth), 1)
+    )
     ends, spread = _smooth_ends(ends, shown, curve.step_mm, window)
     half = scale.spacing / 2
     if height_mm is None:
@@ -197,6 +213,7 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         heights[0] - heights[1], side * (ends + [[half], [-half]]), heights,
         side * np.stack([one[:, 1] for one in lines]),
         spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side, fall,
+        on_walls,
     )  # fmt: skip
 
 
@@ -285,7 +302,7 @@ def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     return EdgeFit(
         part, root, sigma, edges, found.step_mm[here], width, found.gap_sigma, normals, found.shown[here], found.noise,
         np.unique(found.members), found.between[here].astype(float), found.side * part.across,
-        found.fall_rad,
+        found.fall_rad, found.on_walls,
     )  # fmt: skip
 
 

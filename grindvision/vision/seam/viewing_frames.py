@@ -16,11 +16,10 @@ Floats = NDArray[np.float64]
 #: Edge of the surfels that give the viewing direction, as a fraction of the cloud's diagonal.
 SURFEL_FRACTION = 1 / 60
 
-#: A scanner at the origin is believed when the mean normal points towards it within this angle.
-CAMERA_CONE_RAD = np.radians(45)
-
-#: A camera looks along its z axis, forward or (in graphics) backward, the middle of the scan within this angle of it.
-CAMERA_FIELD_RAD = np.radians(40)
+#: A camera at the origin looks along its z axis, forward or (in graphics) backward: what it sees, all but this fraction
+#: of strays, lies within this angle of it, half the field of the widest depth cameras. How a surface is tilted or how
+#: far the background goes on says nothing against it.
+CAMERA_FIELD_RAD, STRAYS = np.radians(60), 0.01
 
 #: Length of the mean of all normals, each turned to the origin, below which the origin is no camera. A camera that
 #: looks into a corner of 60 deg sees normals whose mean is half as long as they are: it is believed above the second
@@ -52,15 +51,13 @@ def field_frames(points: ArrayLike, viewpoint_mm: ArrayLike | None = None) -> li
         raise DegenerateError(f"the {len(points)} points span no surface: they lie along lines; scan an area")
     centre = surfels.points.mean(axis=0)
     towards = move_points(T_own_cloud, np.zeros(3) if viewpoint_mm is None else viewpoint_mm)
-    normals = _facing(surfels.normals, towards - surfels.points)
-    mean = normals.mean(axis=0)
-    gap = towards - centre
-    flat = float((vector_angle(normals, towards - surfels.points) > FLAT_RAD).mean())
+    rays = towards - surfels.points
+    normals = _facing(surfels.normals, rays)
+    flat = float((vector_angle(normals, rays) > FLAT_RAD).mean())
     least = MIN_IN_CORNER if flat < MAX_FLAT else MIN_AGREEMENT
-    believed = np.linalg.norm(gap) > diagonal / 2 and np.linalg.norm(mean) > least
-    off_axis = vector_angle(T_own_cloud[:3, 2], gap)
-    believed = believed and min(off_axis, np.pi - off_axis) < CAMERA_FIELD_RAD
-    if viewpoint_mm is not None or (believed and vector_angle(mean, gap) < CAMERA_CONE_RAD):
+    bearing = np.quantile(vector_angle(T_own_cloud[:3, 2], rays), [STRAYS, 1 - STRAYS])
+    in_view = bearing[1] < CAMERA_FIELD_RAD or bearing[0] > np.pi - CAMERA_FIELD_RAD
+    if viewpoint_mm is not None or (in_view and np.linalg.norm(normals.mean(axis=0)) > least):
         return [[_frame(surfels.points, centre, up) @ T_own_cloud for up in _main_directions(normals)]]
     directions = _main_directions(_facing(surfels.normals, _dominant(surfels.normals)[None, :]))
     return [[_frame(surfels.points, centre, side * up) @ T_own_cloud for up in directions] for side in (1, -1)]
