@@ -190,11 +190,7 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
     if shown.sum() < 4:
         return None
     per_station = np.bincount(station[between], minlength=count)
-    depth = (np.minimum(upper, lower) - v)[between]
-    bottom = np.percentile(depth, DEEPEST) if len(depth) else 0.0
-    on_walls = float(
-        ((depth > WALL_HEIGHTS[0] * bottom) & (depth < WALL_HEIGHTS[1] * bottom)).sum() / max(len(depth), 1)
-    )
+    on_walls = _on_walls((np.minimum(upper, lower) - v)[between])
     ends, spread = _smooth_ends(ends, shown, curve.step_mm, window)
     half = scale.spacing / 2
     if height_mm is None:
@@ -212,9 +208,17 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         curve, side * across, heights[1], side * lines[1][:, 1], np.where(shown, 1.0, 0.0), shown,
         heights[0] - heights[1], side * (ends + [[half], [-half]]), heights,
         side * np.stack([one[:, 1] for one in lines]),
-        spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side, fall,
-        on_walls,
+        spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side,
+        fall, on_walls,
     )  # fmt: skip
+
+
+def _on_walls(depth: Floats) -> float:
+    """Fraction of the points of a gap, at depths (K,) below its surfaces, that lie away from these and its bottom."""
+    if not len(depth):
+        return 0.0
+    low, high = np.percentile(depth, DEEPEST) * np.array(WALL_HEIGHTS)
+    return float(((depth > low) & (depth < high)).mean())
 
 
 def _line(at: Integers, u: Floats, v: Floats, count: int, window: float) -> tuple[Floats, float, Flags]:
