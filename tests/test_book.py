@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import joblib
@@ -20,7 +21,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 import grindvision_book as book
 from grindvision import cli, paper
-from grindvision.errors import FileError, InputError
+from grindvision.errors import FileError, GrindvisionWarning, InputError
 from grindvision_book.machinery.answers import judged, summary, write_scoreboard
 from grindvision_book.machinery.chapters import chosen
 from grindvision_book.machinery.evidence import VERDICTS, count_by_class, trivial_answers_pass, verdict
@@ -75,6 +76,15 @@ def test_a_figure_saved_twice_is_the_same_byte_for_byte(figures):
     assert set(contents[0]) == {"parabola.svg", "parabola.png", "parabola.csv"}
     assert contents[0] == contents[1]
     assert plt.get_fignums() == open_before
+
+
+def test_a_warning_in_a_chapter_names_no_place_on_this_machine(figures, monkeypatch):
+    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
+    book.start("03")
+    with pytest.warns(GrindvisionWarning) as seen:
+        warnings.warn("the sample shows nothing there", GrindvisionWarning, stacklevel=1)
+    shown = warnings.formatwarning(seen[0].message, seen[0].category, seen[0].filename, seen[0].lineno)
+    assert shown == "GrindvisionWarning: the sample shows nothing there\n"
 
 
 def test_the_csv_holds_what_is_drawn_and_the_svg_its_caption(figures):

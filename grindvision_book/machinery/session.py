@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass, field
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -80,9 +81,15 @@ def start(chapter: str) -> None:
     elif not any(isinstance(finder, _ScenesToCome) for finder in sys.meta_path):
         sys.meta_path.insert(0, _ScenesToCome())
     leave_out_plotly()
+    warnings.formatwarning = _without_path
     _session.chapter = chapter
     _session.answers.clear()
     (figures_folder() / UNPUBLISHED).unlink(missing_ok=True)
+
+
+def _without_path(message: Warning | str, category: type[Warning], *_: object, **__: object) -> str:
+    """A warning as a page may show it: what it says, and not where on this machine."""
+    return f"{category.__name__}: {message}\n"
 
 
 def _shell() -> Any:

@@ -29,6 +29,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan, seen_from, surface_in_frame
 from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import Surfels
+from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -103,7 +104,8 @@ class Difference:
         return np.concatenate([cluster.points for cluster in self.clusters] or [np.empty((0, 3))])
 
     def __str__(self) -> str:
-        return f"{len(self.clusters)} pieces above the level of detection of {self.level_of_detection_mm:.2f} mm"
+        pieces = counted(len(self.clusters), "piece")
+        return f"{pieces} above the level of detection of {self.level_of_detection_mm:.2f} mm"
 
 
 NearestSearch = Callable[[Floats, Floats], Floats]
