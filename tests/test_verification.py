@@ -123,6 +123,8 @@ def test_the_teeth_of_a_part_show_in_the_angles_between_its_rivals():
     assert rivals._folds([np.radians(120), np.radians(120.4)]) == 3
     assert rivals._folds([np.radians(11.6)]) == 1
     assert rivals._folds([1.0, 1.1, 1.234567, 0.3333]) == 1
+    # between the holes of a flange nothing resists, and rivals rest anywhere
+    assert rivals._folds(np.radians([72.0, 143.99, 38.4, 48.5, 72.02, 28.4, 43.4, 96.9, 51.4, 144.0])) == 5
 
 
 def ribbed_rod(seed, notch_deg):

@@ -3,9 +3,9 @@ steps along the motions that the surface resists least, and full turns about the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,13 @@ WEAK = 0.04
 NEARLY = 0.02
 """A rival whose cost per surfel is larger by no more than so much shows a near symmetry, whose axis is searched."""
 
-MAX_FOLDS, SAME_ROTATION_RAD = 72, np.radians(0.6)
-"""Most teeth or holes that are looked for, and the angle within which the poses of rivals show them."""
+MAX_FOLDS, SAME_ROTATION_RAD, COS_SAME_AXIS = 72, np.radians(0.6), float(np.cos(np.radians(2)))
+"""Most teeth or holes that are looked for, the angle within which the poses of rivals show them, and the cosine of that
+between the axes of rotations that count as one: poses apart by less are the same."""
+
+REPEATED = 4.0
+"""So many standard deviations more rivals than by chance must be multiples of one step: of four angles, two are by 3.5
+for some step up to ``MAX_FOLDS`` at times."""
 
 CONTRADICTED = 0.0005
 """Fraction of surfels in front of what the other scanner saw above which turns about the principal axes are tried."""
@@ -64,11 +69,17 @@ def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -
         *judge.refined_all(_stepped(judge, best), free=True),
     ]
     found = [one for one in found if judge.differ(one.pose, best.pose)]
-    near = [one for one in (*known, *found) if one.cost < best.cost + NEARLY and judge.differ(one.pose, best.pose)]
-    found += judge.refined_all(_turned(judge, best, near), far=True)
-    found += judge.refined_all(_repeated(judge, best, near))
+    near = _near(judge, best, (*known, *found))
+    turned = judge.refined_all(_turned(judge, best, near), far=True)
+    found += turned
+    found += judge.refined_all(_repeated(judge, best, _near(judge, best, (*near, *turned))))
     worth = [one for one in found if one.cost < best.cost + 2 * NEARLY]
     return judge.distinct([*known, *judge.settled(worth, 6), *_slid(judge, best)])
+
+
+def _near(judge: PoseJudge, best: Candidate, candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Those of the candidates that show a near symmetry."""
+    return [one for one in candidates if one.cost < best.cost + NEARLY and judge.differ(one.pose, best.pose)]
 
 
 def is_contradicted(judge: PoseJudge, best: Candidate) -> bool:
@@ -111,8 +122,7 @@ def _stepped(judge: PoseJudge, best: Candidate) -> list[Floats]:
 def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps: int = 72) -> Floats:
     """The likeliest poses (K, 4, 4) of full turns about the axes of near symmetries, and of the weakest motions; about
     the source's principal axes, too, where something contradicts the best pose."""
-    between = [axis for one in near[:2] if (axis := _axis_between(best, one)) is not None]
-    axes = [*_weak_axes(judge, best), *between]
+    axes = [*_weak_axes(judge, best), *_axes_between(best, near)]
     if is_contradicted(judge, best):
         axes += [(axis, best.found.centre_mm) for axis in (best.pose[:3, :3] @ judge.axes()).T]
     poses = [_about(axis, 2 * np.pi * k / steps, best) for axis in axes for k in range(1, steps)]
@@ -128,10 +138,12 @@ def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps:
 
 def _repeated(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], kept: int = 6) -> list[Floats]:
     """The likeliest poses a tooth, a hole or several further, where near rivals show that the part repeats itself."""
-    folds = _folds([angle_between(one.pose, best.pose) for one in near])
-    axes = [axis for one in near[:1] if (axis := _axis_between(best, one)) is not None]
-    poses = [_about(axis, 2 * np.pi * k / folds, best) for axis in axes for k in range(1, folds)]
-    costs = parallel_map(lambda pose: judge.evidence(pose).cost(), poses)
+    poses = []
+    for axis in _axes_between(best, near):
+        about = [one.pose for one in near if _is_turned_about(axis, one, best)]
+        folds = _folds([angle_between(pose, best.pose) for pose in about])
+        poses += [_about(axis, 2 * np.pi * k / folds, best) for k in range(1, folds)]
+    costs = parallel_map(lambda pose: judge.evidence(pose, None).cost(), poses)
     return [poses[at] for at in np.argsort(costs, kind="stable")[:kept]]
 
 
@@ -142,13 +154,20 @@ def _about(axis: Axis, turn: float, best: Candidate) -> Floats:
 
 
 def _folds(angles_rad: Sequence[float]) -> int:
-    """The fewest equal steps of a full turn, such as teeth, of which all these angles are multiples; 1 where there are
-    none, or less than two angles."""
+    """The equal steps of a full turn, such as teeth, of which more of these angles are multiples than would be by
+    chance, the most standard deviations more; 1 where hardly more are multiples of any.
+
+    Rivals rest between the holes of a flange, too, which hardly resist.
+    """
     turns = np.array(angles_rad) / (2 * np.pi)
-    for folds in range(2, MAX_FOLDS + 1) if len(turns) > 1 else ():
-        if (np.abs(turns * folds - np.round(turns * folds)) < folds * SAME_ROTATION_RAD / (2 * np.pi)).all():
-            return folds
-    return 1
+    best, most = 1, REPEATED
+    for folds in range(2, MAX_FOLDS + 1):
+        within = folds * SAME_ROTATION_RAD / (2 * np.pi)
+        hits = int((np.abs(turns * folds - np.round(turns * folds)) < within).sum())
+        by_chance = 2 * within * len(turns)
+        if hits > 1 and (deviations := (hits - by_chance) / np.sqrt(by_chance)) > most:
+            best, most = folds, deviations
+    return best
 
 
 def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
@@ -175,6 +194,23 @@ def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:
         for twist in weak_motions(judge, best).T[:2]
         if np.linalg.norm(twist[3:]) * judge.extent > 0.5
     ]
+
+
+def _axes_between(best: Candidate, near: Sequence[Candidate]) -> list[Axis]:
+    """Axes of the rotations between the best pose and its first two rivals, and between these: a wheel on its model is
+    turned over by both, about two axes in its plane, and what leads from one to the other turns it about its own."""
+    axes: list[Axis] = []
+    for one, other in combinations((best, *near[:2]), 2):
+        axis = _axis_between(one, other)
+        if axis is not None and all(abs(axis[0] @ known[0]) < COS_SAME_AXIS for known in axes):
+            axes.append(axis)
+    return axes
+
+
+def _is_turned_about(axis: Axis, one: Candidate, best: Candidate) -> bool:
+    """Whether a rotation about nearly the same direction as an axis leads from the best pose to another."""
+    between = _axis_between(best, one)
+    return between is not None and abs(float(between[0] @ axis[0])) > COS_SAME_AXIS
 
 
 def _axis_between(one: Candidate, other: Candidate) -> Axis | None:

@@ -121,11 +121,11 @@ def choose_pose(
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     for attempt in range(3):
         best = candidates[0]
-        candidates = _overlapping(judge, with_rivals(judge, best, candidates))
+        candidates = judge.ranked(_overlapping(judge, with_rivals(judge, best, candidates)))
         # rivals that were found tell the axes of symmetry, about which the right pose may lie
         if not judge.differ(best.pose, candidates[0].pose) and (attempt or not is_contradicted(judge, best)):
             break
-    best, *candidates = judge.ranked(candidates)
+    best, *candidates = candidates
     _check_fit(judge, best)
     if said := lies_beside(judge, best):
         raise AmbiguousError(f"the registration is ambiguous: {said}")
