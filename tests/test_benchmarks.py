@@ -65,13 +65,13 @@ def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache, monk
     monkeypatch.setattr(bench, "build_pcl", lambda: "PCL is left out of this test")
     race = replace(races.DETECT, racers=races.DETECT.racers[:2])
     absent = Racer("nobody", "open3d_peer:detect", needs="no_such_module")
-    bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2, scenes=4), tmp_path)
+    bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2, scenes=3), tmp_path)
     table = pd.read_csv(tmp_path / "bench_detect.csv")
     assert list(table.columns) == [*PROMISED, *MEMORY, *races.DETECT.accuracy, "stages_s"]
     assert table["racer"].tolist() == ["grindvision", "Open3D"]
-    assert (table["rounds"] == 2).all() and (table["judged"] == 4).all() and (table["failures"] == 0).all()
+    assert (table["rounds"] == 2).all() and (table["judged"] == 3).all() and (table["failures"] == 0).all()
     pairs = pd.read_csv(tmp_path / "bench_scenes.csv")
-    assert pairs["error"].tolist() == list(scenes.ERRORS) and (pairs["scenes"] + pairs["failed"] == 4).all()
+    assert pairs["error"].tolist() == list(scenes.ERRORS) and (pairs["scenes"] + pairs["failed"] == 3).all()
     assert pairs["ours_median"].tolist() == pytest.approx(table.loc[0, list(scenes.ERRORS)].tolist(), rel=1e-4)
     assert (table["growth_mib"] <= table["peak_mib"]).all() and (table["growth_mib"] >= 0).all()
     assert (table["min_s"] <= table["median_s"]).all() and (table["median_s"] <= table["max_s"]).all()
