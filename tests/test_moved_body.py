@@ -61,8 +61,15 @@ def cut(points, T_world_scanner, T_world_part=None):
     return points[((places > PART_BOX[0]) & (places < PART_BOX[1])).all(axis=1)]
 
 
-@pytest.mark.parametrize(("seed", "shift_mm", "turn_deg"), [(1, 1.0, 0.5), (3, 5.0, 2.0), (4, 8.0, -1.0)])
-@pytest.mark.parametrize("beaded", [True, False])
+#: Seed, shift in mm, turn in deg, and whether there is a bead: every motion in every run, each both ways by night.
+PUT_DOWN = ((1, 1.0, 0.5, False), (3, 5.0, 2.0, True), (4, 8.0, -1.0, True))
+BY_NIGHT = tuple((*motion, not beaded) for *motion, beaded in PUT_DOWN)
+
+
+@pytest.mark.parametrize(
+    ("seed", "shift_mm", "turn_deg", "beaded"),
+    [*PUT_DOWN, *(pytest.param(*one, marks=pytest.mark.full) for one in BY_NIGHT)],
+)
 def test_a_part_put_down_anew_is_named_with_its_motion(seed, shift_mm, turn_deg, beaded):
     (sample, test), poses, there, _ = scanned(seed, shift_mm, turn_deg, beaded)
     with pytest.raises(DegenerateError, match=r"two bodies.*--sample-box|moved against something that both scans show"):
