@@ -104,6 +104,39 @@ def test_a_face_that_is_off_is_named_and_moves_no_pose(face, offset):
         assert np.median(standing[0].signed_mm) == pytest.approx(offset, abs=0.04)
 
 
+def block(rng, pose, allowance_mm=0.0):
+    """A corner block with a rib on its top, whose side is parallel to the right face; the allowance is on that face."""
+    faces = [
+        ([-40, -30, 50], [80, 0, 0], [0, 60, 0]),
+        ([-40, -30, 0], [80, 0, 0], [0, 0, 50]),
+        ([40 + allowance_mm, -30, 0], [0, 60, 0], [0, 0, 50]),
+        ([0, -30, 50], [0, 22, 0], [0, 0, 14]),
+        ([-20, -30, 64], [20, 0, 0], [0, 22, 0]),
+        ([-20, -8, 50], [20, 0, 0], [0, 0, 14]),
+    ]
+    points = np.concatenate([grid(np.array(origin, float), along, across, rng)[0] for origin, along, across in faces])
+    return move_points(pose, points) + 0.015 * rng.standard_normal((len(points), 3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_face_that_holds_the_pose_and_is_off_is_named_beside_the_one_that_contradicts_it(seed):
+    """The pose follows the large face, and the rib's small side disagrees; that is no body that has moved."""
+    rng = np.random.default_rng(seed)
+    toward = rigid(rotation_about([1.0, -0.7, 0.1], 2.1), (0.0, 0.0, 400.0))
+    turned = rigid(rotation_about([1.0, -0.6, 0.2], 2.2) @ rotation_about([0, 0, 1.0], 0.4), (5.0, 3.0, 410.0))
+    sample, test = block(rng, toward), block(rng, turned, 0.4)
+    with pytest.raises(DegenerateError, match=r"the faces contradict each other: either what is about .* --datum"):
+        found_with(sample, test)
+    front_and_rib = np.array([[-41, -31, -1], [41, -29, 51]]), np.array([[-1, -31, 49], [1, -7, 65]])
+    part = move_points(inverse(toward), sample)
+    datum = part[np.any([((part > low) & (part < high)).all(axis=1) for low, high in front_and_rib], axis=0)]
+    top = part[(part[:, 2] > 49.5) & (part[:, 2] < 50.5)]
+    found, _ = found_with(sample, test, datum_mm=move_points(toward, np.concatenate([datum, top])))
+    standing = max(found.difference.clusters, key=lambda piece: piece.area_mm2)
+    assert standing.area_mm2 == pytest.approx(3000, rel=0.4)
+    assert np.median(standing.signed_mm) == pytest.approx(0.4, abs=0.05)
+
+
 def test_of_a_good_part_no_face_is_named():
     found, said = found_with(*pair())
     assert found.faces_off == () and not found.difference.clusters

@@ -152,7 +152,7 @@ def test_a_robot_drives_the_passes(folder, capsys, tmp_path):
     scene = pair(0, 60_000, beads=[arc_bead(width_mm=6.0)])
     T_base_part = np.eye(4)
     T_base_part[:3, 3] = (330.0, 0.0, 60.0)
-    write_json(tmp_path / "pose.json", {"T_base_scanner": T_base_part @ inverse(scene.T_test_part)})
+    write_json(tmp_path / "pose.json", {"T_base_scanner": T_base_part @ inverse(scene.T_test_part), "base": "model"})
     code, _, err = told(
         capsys, folder / "good.ply", folder / "test.ply", "-o", tmp_path / "out", "--disc", "20", "--depth", "0.7",
         "--robot", "ur3", "--program", "urscript", "--scanner-pose", tmp_path / "pose.json",

@@ -10,8 +10,9 @@ from grindvision.arm import MdhArm, write_arm
 from grindvision.cell import weld_scene
 from grindvision.cli import main
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
+from grindvision.cli.scans import where_it_stood
 from grindvision.errors import FileError, GrindvisionError, InputError, NotRigidError
-from grindvision.geometry import inverse, move_points, rigid, rotate_vectors
+from grindvision.geometry import inverse, move_points, rigid, rotate_vectors, rotation_about
 from grindvision.motion import tool_trajectory, welding_torch
 from tests.calibration_rig import rig
 from tests.motion_scene import seam
@@ -29,7 +30,7 @@ def options(*words):
 @pytest.fixture
 def pose(tmp_path):
     path = tmp_path / "pose.json"
-    path.write_text(json.dumps({"T_base_scanner": T_BASE_SCANNER.tolist()}))
+    path.write_text(json.dumps({"T_base_scanner": T_BASE_SCANNER.tolist(), "base": "model"}))
     return str(path)
 
 
@@ -88,13 +89,44 @@ def test_a_robot_file_needs_the_flange_and_a_language_it_understands(pose, tmp_p
         robot_job(options("--robot", str(arm), "--scanner-pose", pose, "--flange", "arm", "--program", "urscript"))
 
 
+@pytest.mark.parametrize(
+    ("name", "form"), [("ur3", "urscript"), ("ur5e", "urscript"), ("lrmate200id", "ls"), ("gp7", "jbi")]
+)
+def test_a_pose_from_the_controller_counts_from_the_controller_s_base(tmp_path, name, form, pose):
+    """The same place, told in the model's base, in the controller's, and by hand-eye: one job."""
+    of_model = robot_job(options("--robot", name, "--program", form, "--scanner-pose", pose, "--table-top", "-200"))
+    T_controller_model = of_model.robot.T_controller_base
+    assert not np.array_equal(T_controller_model, np.eye(4))
+    T_controller_scanner = T_controller_model @ T_BASE_SCANNER
+    table = str(-200 + T_controller_model[2, 3])
+    bare = tmp_path / "bare.json"
+    bare.write_text(json.dumps(T_controller_scanner.tolist()))
+    stated = tmp_path / "stated.json"
+    stated.write_text(json.dumps({"T_base_scanner": T_controller_scanner.tolist(), "base": "controller"}))
+    camera = tmp_path / "hand_eye.json"
+    T_flange_camera = rigid(rotation_about([0.2, 1, 0], 0.3), (40.0, -20.0, 60.0))
+    camera.write_text(json.dumps({"T_flange_camera": T_flange_camera.tolist(), "mounted": "on-arm"}))
+    flange = (T_controller_scanner @ inverse(T_flange_camera))[:3].ravel()
+    by_hand_eye = ["--hand-eye", str(camera), "--rotation", "matrix", "--robot-pose", *map(str, flange)]
+    common = ["--robot", name, "--program", form, "--table-top", table]
+    for where in (["--scanner-pose", str(bare), "--base", "controller"], ["--scanner-pose", str(stated)], by_hand_eye):
+        job = robot_job(options(*common, *where))
+        np.testing.assert_allclose(job.T_base_scanner, T_BASE_SCANNER, atol=1e-9)
+        assert job.table_top_mm == pytest.approx(-200)
+    with pytest.raises(InputError, match=r"shows poses in another base.*--base controller, or --base model"):
+        robot_job(options(*common, "--scanner-pose", str(bare)))
+    with pytest.raises(InputError, match="leave --base out"):
+        robot_job(options(*common, *by_hand_eye, "--base", "model"))
+    assert f"({T_controller_scanner[0, 3]:.0f}, " in where_it_stood(of_model.T_base_scanner, of_model.robot)
+
+
 def test_the_groove_door_writes_the_programme_or_nothing(tmp_path, capsys):
     scene = weld_scene("line", np.random.default_rng(3), every=2)
     np.save(tmp_path / "cloud.npy", scene.points)
     T_base_piece = rigid([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [300.0, 0.0, 12.0])
     (tmp_path / "pose.json").write_text(json.dumps((T_base_piece @ scene.scan.T_world_scanner).tolist()))
     words = ["groove", str(tmp_path / "cloud.npy"), "-o", str(tmp_path / "out"), "--robot", "ur3"]
-    words += ["--scanner-pose", str(tmp_path / "pose.json"), "--program", "urscript"]
+    words += ["--scanner-pose", str(tmp_path / "pose.json"), "--base", "model", "--program", "urscript"]
     assert main([*words, "--table-top", "30"]) == 2
     assert "behind the table" in capsys.readouterr().err and not (tmp_path / "out").exists()
     assert main(words) == 0

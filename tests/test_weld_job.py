@@ -23,7 +23,7 @@ from tests.test_robot_job import T_BASE_SCANNER, calibrated_cell, options
 @pytest.fixture
 def pose(tmp_path):
     path = tmp_path / "pose.json"
-    path.write_text(json.dumps({"T_base_scanner": T_BASE_SCANNER.tolist()}))
+    path.write_text(json.dumps({"T_base_scanner": T_BASE_SCANNER.tolist(), "base": "model"}))
     return str(path)
 
 

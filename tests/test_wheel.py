@@ -87,7 +87,7 @@ def inputs(tmp_path_factory) -> Path:
     made = rig(er3a(), rng, test=12)
     as_table(made.measurements).to_csv(folder / "spheres.csv", index=False)
     write_arm(er3a(), folder / "robot.csv")
-    (folder / "pose.json").write_text(json.dumps({"T_base_scanner": np.eye(4).tolist()}))
+    (folder / "pose.json").write_text(json.dumps({"T_base_scanner": np.eye(4).tolist(), "base": "model"}))
     return folder
 
 

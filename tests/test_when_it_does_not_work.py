@@ -75,7 +75,7 @@ def seen_twice(surface, folder: Path, *, second=None, windows=((-70, 70, -70, 70
 
 
 def pose_file(folder: Path, matrix) -> Path:
-    (folder / "pose.json").write_text(json.dumps({"T_base_scanner": np.asarray(matrix).tolist()}))
+    (folder / "pose.json").write_text(json.dumps({"T_base_scanner": np.asarray(matrix).tolist(), "base": "model"}))
     return folder / "pose.json"
 
 
@@ -470,6 +470,13 @@ def another_arm(folder):
 @mistake("The table is too long")
 def all_six_joints(folder):
     return spheres(folder, arm=read_arm(ROBOT))
+
+
+@mistake("The controller counts from another base")
+def a_pose_of_either_base(folder):
+    pose = folder / "bare.json"
+    pose.write_text(json.dumps(ABOVE.tolist()))
+    return seam(folder, None, "--robot", "ur3", "--scanner-pose", pose)
 
 
 @mistake("The arm speaks another language")

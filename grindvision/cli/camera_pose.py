@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.calibration.pose_conventions import PoseConvention
+    from grindvision.motion import Robot
 
 #: A flange that is nearer to the robot's base in every pose than this (mm) is given in metres.
 NEAREST_FLANGE_MM = 20.0
+
+#: Whose base a scanner's pose counts from: the robot model's root, or the controller's, in which it shows its poses.
+BASES = ("model", "controller")
 
 #: Key of hand_eye.json that says, in words, what of the camera is known too poorly.
 DOUBT = "poorly_known"
@@ -184,3 +188,61 @@ def scanner_pose(options: argparse.Namespace) -> np.ndarray | None:
     if stated is None:
         raise InputError("--robot-pose: say --rotation, how its rotation is written")
     return np.asarray(camera.poses(flange_poses(np.array([numbers]), stated, "--robot-pose"))[0])
+
+
+def add_base_argument(group: argparse._ArgumentGroup) -> None:
+    """``--base``: whose base the scanner's pose counts from."""
+    group.add_argument(
+        "--base",
+        choices=BASES,
+        help="base that --scanner-pose and --table-top count from: model, the root of the robot's model in the arm's"
+        " foot, or controller, in which the controller shows its poses: half a turn about z from it for UR, 330 or 450"
+        ' mm higher for FANUC and Yaskawa; the pose\'s file may say it, "base": "model". --hand-eye is in the'
+        " controller's",
+    )
+
+
+def of_the_model(options: argparse.Namespace, robot: Robot, T_base_scanner: np.ndarray) -> tuple[np.ndarray, float]:
+    """The scanner's pose (4, 4) and the height of the table, mm, in the base of the robot's model.
+
+    Raises:
+        InputError: nothing says whose base the pose counts from, where they differ; ``--base model`` with the
+            controller's own poses.
+    """
+    import numpy as np
+
+    from grindvision.geometry import inverse
+
+    height = options.table_top or 0.0
+    if np.array_equal(robot.T_controller_base, np.eye(4)):
+        return T_base_scanner, height
+    by_hand_eye = getattr(options, "hand_eye", None) is not None
+    if by_hand_eye and options.base == "model":
+        raise InputError("--hand-eye is in the base in which the controller shows its poses; leave --base out")
+    base = "controller" if by_hand_eye else options.base or _stated_base(options.scanner_pose)
+    if base is None:
+        raise InputError(
+            f"{robot.name}: its controller shows poses in another base than that of its model; say which of the two"
+            " --scanner-pose counts from: --base controller, or --base model"
+        )
+    if base == "model":
+        return T_base_scanner, height
+    T_model_controller = inverse(robot.T_controller_base)
+    if options.table_top is not None:
+        height += float(T_model_controller[2, 3])
+    return np.asarray(T_model_controller @ T_base_scanner), height
+
+
+def _stated_base(path: str) -> str | None:
+    """Whose base the file of a scanner's pose says it counts from.
+
+    Raises:
+        FileError: it says a base that is none of ``BASES``.
+    """
+    from grindvision.files import read_json
+
+    content = read_json(path)
+    stated = content.get("base") if isinstance(content, dict) else None
+    if stated is not None and stated not in BASES:
+        raise FileError(f"{path}: base {str(stated)[:40]!r} is unknown; give one of {', '.join(BASES)}")
+    return stated

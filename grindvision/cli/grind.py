@@ -52,7 +52,7 @@ exit code: 0 done, 3 with --again and --tolerance-mm: done, but the tolerance is
 
 examples:
   grindvision grind good.ply test.ply -o job --wheel 20 --width 6 --depth 0.1
-  grindvision grind good.ply test.ply -o job --robot ur3 --scanner-pose pose.json --program urscript
+  grindvision grind good.ply test.ply -o job --robot ur3 --scanner-pose pose.json --base controller --program urscript
   grindvision grind --again job after.ply --tolerance-mm 0.15
 """
 
@@ -235,7 +235,9 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("picture"):
             draw(found.stock.pieces, found.plans, None, str(found), work.warnings, facts, work.place)
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
-        if T_base_scanner is not None:
+        if robot is not None:
+            questions.append(where_it_stood(robot.T_base_scanner, robot.robot))
+        elif T_base_scanner is not None:
             questions.append(where_it_stood(T_base_scanner))
         results = {
             "T_sample_test": found.T_sample_test,

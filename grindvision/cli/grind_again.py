@@ -88,7 +88,9 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
             "motion": motion,
         }
         questions = [size_question(("SAMPLE", "NEWSCAN"), clouds)]
-        if T_base_scanner is not None:
+        if robot is not None:
+            questions.append(where_it_stood(robot.T_base_scanner, robot.robot))
+        elif T_base_scanner is not None:
             questions.append(where_it_stood(T_base_scanner))
         work.report(message, results, {}, found.timings_s, _shown(found), questions)
     return 3 if options.tolerance_mm is not None and not found.met else 0

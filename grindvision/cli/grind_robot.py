@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.camera_pose import add_base_argument, of_the_model
 from grindvision.cli.parameters import number
 from grindvision.errors import InputError
 from grindvision.records import by_content
@@ -28,7 +29,8 @@ STEP_MM = 5.0
 @by_content
 @dataclass(frozen=True)
 class GrindRobot:
-    """The arm with its spindle, the language of its programme, and where everything stands (mm)."""
+    """The arm with its spindle, the language of its programme, and where everything stands (mm), in the base of
+    the robot's model."""
 
     robot: Robot
     language: str
@@ -91,6 +93,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
         help="4x4 matrix T_flange_tcp to the wheel's lowest point, mm, z into the work, x along the line (default: a"
         " spindle in line with the flange, 230 mm)",
     )
+    add_base_argument(group)
     group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the spindle (default: tool0)")
     group.add_argument("--table-top", type=number, metavar="MM", help="height of the table in the base (default: 0)")
 
@@ -102,7 +105,9 @@ def grind_robot(options: argparse.Namespace, T_base_scanner: np.ndarray | None) 
         InputError: an option that needs ``--robot`` without it, or a robot without pose or language.
     """
     if options.robot is None:
-        lonely = [name for name in ("program", "tool", "flange", "table_top") if getattr(options, name) is not None]
+        lonely = [
+            name for name in ("program", "tool", "flange", "table_top", "base") if getattr(options, name) is not None
+        ]
         if lonely:
             raise InputError(f"--{lonely[0].replace('_', '-')} is for a robot's programme; give --robot as well")
         return None
@@ -125,4 +130,5 @@ def grind_robot(options: argparse.Namespace, T_base_scanner: np.ndarray | None) 
         raise InputError(f"{robot.name} is no arm of Universal Robots, it cannot run URScript")
     angle = 0.0 if options.lead_angle is None else options.lead_angle * 3.141592653589793 / 180
     # a disc looks alike from all sides; a wheel has to run along its line
-    return GrindRobot(robot, options.program, T_base_scanner, angle, options.table_top or 0.0, options.disc is not None)
+    T_model_scanner, table_top = of_the_model(options, robot, T_base_scanner)
+    return GrindRobot(robot, options.program, T_model_scanner, angle, table_top, options.disc is not None)

@@ -69,11 +69,11 @@ examples:
   grindvision groove plate.ply -o weld --waypoints 80 --width 12
   grindvision groove bracket.ply -o weld --joint fillet
   grindvision groove plate.ply -o weld --field-correction camera/field.npz
-  grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json
+  grindvision groove plate.ply -o weld --robot ur3 --program urscript --scanner-pose pose.json --base controller
   grindvision groove plate.ply -o weld --robot kr6_r900 --program krl --scanner-pose pose.json --tool torch.json \\
       --travel-angle -10 --arc --arc-output 5
-  grindvision groove plate.ply -o weld --robot gp12 --program jbi --scanner-pose pose.json --weave 4 \\
-      --weave-frequency 2 --bead-area 12 --tacks 5 --run-on 10 --run-off 10
+  grindvision groove plate.ply -o weld --robot gp12 --program jbi --scanner-pose pose.json --base controller \\
+      --weave 4 --weave-frequency 2 --bead-area 12 --tacks 5 --run-on 10 --run-off 10
 """
 
 
@@ -183,7 +183,9 @@ def run(options: argparse.Namespace) -> int:
                 np.save(temporary, labels)
         with work.stage("picture"):
             draw(weld, points, work.warnings, work.place / "report.png", welding)
-        questions = [size_question(("CLOUD",), (cloud,))] + ([where_it_stood(job.T_base_scanner)] if job else [])
+        questions = [size_question(("CLOUD",), (cloud,))] + (
+            [where_it_stood(job.T_base_scanner, job.robot)] if job else []
+        )
         work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, questions=questions)
     if options.send is not None:
         send_if_agreed(script, options)

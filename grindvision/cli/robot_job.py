@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
+from grindvision.cli.camera_pose import add_base_argument, add_camera_arguments, of_the_model, scanner_pose
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.weld_options import (
     ARC_OPTIONS,
@@ -55,7 +55,8 @@ PROGRAM_FILES = tuple(
 @by_content
 @dataclass(frozen=True)
 class RobotJob:
-    """What was asked for: the robot with its torch, the format of the programme, and where everything stands (mm)."""
+    """What was asked for: the robot with its torch, the format of the programme, and where everything stands (mm), in
+    the base of the robot's model."""
 
     robot: Robot
     form: str
@@ -158,6 +159,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--scanner-pose", metavar="FILE.json", help="needed: 4x4 matrix T_base_scanner, mm, bare or under that key"
     )
+    add_base_argument(group)
     group.add_argument("--flange", metavar="NAME", help="link of a URDF file that carries the torch (default: tool0)")
     group.add_argument(
         "--send",
@@ -193,6 +195,7 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
         "flange",
         "program",
         "scanner_pose",
+        "base",
         "hand_eye",
         "robot_pose",
         "seed",
@@ -235,8 +238,8 @@ def robot_job(options: argparse.Namespace) -> RobotJob | None:
     if options.send is not None and form != "urscript":
         raise InputError(f"--send hands URScript over, not {form}; give --program urscript as well")
     wishes = weld_wishes(options, form, speed)
-    table_top, seed = options.table_top or 0.0, options.seed or 0
-    return RobotJob(robot, form, T_base_scanner, speed, table_top, seed, arc, frames, wishes)
+    T_model_scanner, table_top = of_the_model(options, robot, T_base_scanner)
+    return RobotJob(robot, form, T_model_scanner, speed, table_top, options.seed or 0, arc, frames, wishes)
 
 
 def _torch(options: argparse.Namespace) -> Tool:

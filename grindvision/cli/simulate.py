@@ -105,7 +105,7 @@ def _write_grinding(scene: GrindingScene, folder: Path, seed: int) -> None:
     }
     write_ply(folder / "sample.ply", scene.sample.points)
     write_ply(folder / "test.ply", scene.test.points)
-    write_json(folder / "pose.json", {"T_base_scanner": T_base_test})
+    write_json(folder / "pose.json", {"T_base_scanner": T_base_test, "base": "model"})
     write_json(folder / "truth.json", truth)
 
 
@@ -130,7 +130,10 @@ def _write_welding(scenes: dict[str, WeldScene], folder: Path, seed: int) -> Non
         write_ply(folder / kind / "cloud.ply", scene.points)
         with write_whole(folder / kind / "labels.npy") as temporary:
             np.save(temporary, scene.labels)
-        write_json(folder / kind / "pose.json", {"T_base_scanner": T_base_piece(kind) @ scene.scan.T_world_scanner})
+        write_json(
+            folder / kind / "pose.json",
+            {"T_base_scanner": T_base_piece(kind) @ scene.scan.T_world_scanner, "base": "model"},
+        )
         write_json(folder / kind / "truth.json", truth)
 
 

@@ -16,8 +16,8 @@ TOOLS = ("wheel", "disc")
 
 
 CHORD_MM = 0.01
-"""So far the straight way from place to place may leave the planned one: a tenth of a usual depth of cut, and a fifth of
-the 0.05 mm that may be cut under the good surface."""
+"""So far the straight way from place to place may leave the planned one: a tenth of a usual depth of cut, and a fifth
+of the 0.05 mm that may be cut under the good surface."""
 
 CUSP = 0.15
 """Height, in depths of cut, of what a tilted disc may leave between neighbouring lines."""

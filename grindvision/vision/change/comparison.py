@@ -91,8 +91,8 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: CompareOptions,
     found = replace(registered.registration, fine=faces.registration)
     of_field = None if deformed is None else deformed.place_variances
     difference = find_change(found.source, found.target, found.fine, settled=faces.settled, place_variance=of_field)
-    if deformed is None:
-        check_one_body(found.source, found.target, found.fine, difference)
+    if deformed is None and options.datum_mm is None:
+        check_one_body(found.source, found.target, found.fine, difference, faces)
     doubted = {} if deformed is None else bending_doubts(difference, found.source.surfels.normals, deformed)
     clock.lap("difference")
     return Comparison(found, difference, faces, registered.surface, deformed, doubted, options.seed)

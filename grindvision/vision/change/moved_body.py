@@ -8,7 +8,7 @@ off as a whole is explained by a motion, too, but faces one way only; a bead has
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,15 @@ from grindvision.geometry import angle_between, inverse, move_points, rigid, rot
 from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.registration.agreement import agreement
+from grindvision.vision.registration.face_offsets import FaceReading
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.registration.relative_scale import relative_scale
 from grindvision.vision.surface.scan import Scan
+from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 SPREADS = 4.0
@@ -52,6 +55,10 @@ MIN_DIRECTIONS = 0.03
 """Least second eigenvalue of the mean outer product of the explained surfels' normals, which add up to 1: faces of one
 direction have none, and are no evidence of a body."""
 
+ALONG_EXPLAINS = 0.7
+"""Fraction of a body's surfels that the part of its motion along its largest face must explain where a single face off
+as a whole is the other reading: the rest of the motion is then no more than what so small a body leaves open."""
+
 SCALE_EXPLAINS = 0.6
 """Another scale moves one end of a part as a motion does: where it explains so much of what the motion does, it is
 that."""
@@ -64,25 +71,26 @@ class MovedBody:
 
     ``T_now_before`` (4, 4): its motion from where the sample has it, by the pose, to where the test scan has it;
     ``middle_mm`` (3,): of its faces that show the motion; ``surfels``: so many of them; ``explained``: their fraction
-    of all surfels that disagree at the pose.
+    of all surfels that disagree at the pose; ``face_mm`` (3,): the middle of what speaks against the motion being that
+    of the whole scan where that faces one way only, else None: then that face may be off instead.
     """
 
     T_now_before: Floats
     middle_mm: Floats
     surfels: int
     explained: float
+    face_mm: Floats | None
 
     @property
-    def distance_mm(self) -> float:
-        """How far its middle has moved."""
-        before = move_points(inverse(self.T_now_before), self.middle_mm)
-        return float(np.linalg.norm(self.middle_mm - before))
+    def motion_mm(self) -> Floats:
+        """How its middle has moved (3,)."""
+        return self.middle_mm - move_points(inverse(self.T_now_before), self.middle_mm)
 
     def __str__(self) -> str:
-        place = ", ".join(f"{value:.0f}" for value in self.middle_mm)
+        place = _place(self.middle_mm)
         angle = np.degrees(angle_between(self.T_now_before, np.eye(4)))
-        motion = f"about {self.distance_mm:.2g} mm and {angle:.2g} deg"
-        return f"what is about ({place}) mm in the test scan has moved by {motion}"
+        motion = f"about {np.linalg.norm(self.motion_mm):.2g} mm and {angle:.2g} deg"
+        return f"what is about {place} mm in the test scan has moved by {motion}"
 
 
 def find_moved_body(
@@ -110,8 +118,8 @@ def find_moved_body(
             moved = icp_planes(points, normals, target.surfels, start, REACH_CELLS * cell, within, 100)
         except DegenerateError:  # nothing of the target is near
             continue
-        rest, facing = plane_residuals(points, normals, target.surfels, moved.T_target_source, 3 * cell)
-        agree = facing & (np.abs(rest) <= within)
+        rest, met = plane_residuals(points, normals, target.surfels, moved.T_target_source, 3 * cell)
+        agree = met & (np.abs(rest) <= within)
         if agree.sum() > explained.sum():
             best, explained = moved.T_target_source, agree
     if explained.sum() < max(MIN_SURFELS, MIN_FRACTION * len(surfels), MIN_EXPLAINED * len(points)):
@@ -122,12 +130,39 @@ def find_moved_body(
         return None
     if _explained_by_scale(source, target, registration, disagree, within) > SCALE_EXPLAINS * explained.mean():
         return None
-    up = normals[explained]
-    if np.linalg.eigvalsh(up.T @ up / len(up))[1] < MIN_DIRECTIONS:
+    if _face_one_way(normals[explained]):
         return None
-    return MovedBody(
-        inverse(before), np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean())
+    body = MovedBody(
+        inverse(before), np.median(points[explained], axis=0), int(explained.sum()), float(explained.mean()), None
     )
+    agreeing = facing & (np.abs(residuals) <= within) & even
+    moving = np.flatnonzero(disagree)[explained]
+    return replace(body, face_mm=_face_in_its_place(surfels, target.surfels, pose, body, moving, agreeing, within))
+
+
+def _face_in_its_place(
+    source: Surfels, target: Surfels, pose: Floats, body: MovedBody, moving: Integers, agreeing: Flags, within_mm: float
+) -> Floats | None:
+    """Middle (3,) of the one face that would be off, had all moved as the body has along its own largest face; None
+    where that does not explain the body, or faces of two directions speak against it."""
+    up = source.normals[moving]
+    along = np.linalg.eigh(up.T @ up)[1][:, -1]
+    moved = pose @ rigid(None, -(body.motion_mm @ along) * along)
+    residuals, facing = plane_residuals(source.points, source.normals, target, moved, 3 * target.grid.size_mm)
+    agree = facing & (np.abs(residuals) <= within_mm)
+    against = agreeing & facing & ~agree
+    if agree[moving].mean() < ALONG_EXPLAINS or not against.any() or not _face_one_way(source.normals[against]):
+        return None
+    return np.asarray(np.median(source.points[against], axis=0))
+
+
+def _face_one_way(normals: Floats) -> bool:
+    """Whether normals (N, 3) have one direction."""
+    return float(np.linalg.eigvalsh(normals.T @ normals / len(normals))[1]) < MIN_DIRECTIONS
+
+
+def _place(point_mm: Floats) -> str:
+    return f"({', '.join(f'{value:.0f}' for value in point_mm)})"
 
 
 def _explained_by_scale(
@@ -151,15 +186,25 @@ def _starts(points: Floats, pose: Floats, length_mm: float) -> list[Floats]:
     return [pose, *(pose @ rigid(np.eye(3), step) for step in steps)]
 
 
-def check_one_body(source: Scan, target: Scan, registration: FineRegistration, difference: Difference) -> None:
-    """Refuse a comparison of scans that show two bodies, of which one has moved.
+def check_one_body(
+    source: Scan, target: Scan, registration: FineRegistration, difference: Difference, faces: FaceReading
+) -> None:
+    """Refuse a comparison of scans that show two bodies, of which one has moved, or a face that is off and may be one.
 
     Raises:
         DegenerateError: a body has moved; see ``find_moved_body``.
     """
-    if body := find_moved_body(source, target, registration, difference):
+    body = find_moved_body(source, target, registration, difference)
+    if body is None or faces.explain(body.motion_mm):
+        return
+    if body.face_mm is not None:
         raise DegenerateError(
-            f"the scans show two bodies, and {body} against the rest: one pose fits only one of the two; was the part"
-            " put down anew on a table or fixture that both scans show? Then cut both to the part (--sample-box,"
-            " --test-box)"
+            f"the faces contradict each other: either {body} against the rest, or the face about"
+            f" {_place(body.face_mm)} mm is off as a whole by as much; say which faces are right with --datum, or cut"
+            " both scans to the part (--sample-box, --test-box) where it was put down anew"
         )
+    raise DegenerateError(
+        f"the scans show two bodies, and {body} against the rest: one pose fits only one of the two; was the part"
+        " put down anew on a table or fixture that both scans show? Then cut both to the part (--sample-box,"
+        " --test-box)"
+    )

@@ -38,8 +38,13 @@ MAX_FACES = 8
 AGREES = 3.0
 """Samples within so many standard deviations of a face's own spread agree."""
 
-MIN_GAIN, NEARLY = 0.04, 0.02
-"""Share of the samples that must agree more when one face is off, and by which another reading may be worse."""
+MIN_GAIN, NEARLY = LARGE, 0.02
+"""Share of the samples that must agree more when one face is off, as the smallest face asked for does when it agrees as
+a whole, and by which another reading may be worse."""
+
+SAME_MOTION = 0.5
+"""A motion is that of a face that is off where the two differ by so much of the offset at most: along the face what
+disagrees holds it loosely."""
 
 MIN_OFFSET = 5.0
 """Least offset of a face that is named, in standard deviations of a face's own spread."""
@@ -88,6 +93,14 @@ class FaceReading:
     unique: bool
     settled: Flags | None
     sole: tuple[FaceOffset, ...]
+
+    def explain(self, motion_mm: Floats) -> bool:
+        """Whether a motion (3,), frame of the source, is that of a face that is off."""
+        return any(
+            np.linalg.norm(side * motion_mm - one.offset_mm * one.normal) < SAME_MOTION * abs(one.offset_mm)
+            for one in self.off
+            for side in (1, -1)
+        )
 
     def diagnose(self, nothing_found: bool) -> tuple[str, ...]:
         """In words, what a person should know; what could be off unseen only where nothing else was found."""

@@ -63,8 +63,10 @@ def motion_name(pose: Floats, reference: Floats, centre_mm: Floats, extent_mm: f
             f"a rotation (here by {degrees:.{0 if degrees >= 1 else 2}f} deg) about the axis"
             f" ({x:.2f}, {y:.2f}, {z:.2f}) through ({a:.0f}, {b:.0f}, {c:.0f}) mm"
         )
-    x, y, z = translation / np.linalg.norm(translation)
-    return f"a translation (here by {np.linalg.norm(translation):.1f} mm) along ({x:.2f}, {y:.2f}, {z:.2f})"
+    length = float(np.linalg.norm(translation))
+    x, y, z = translation / length
+    here = f" (here by {length:.1f} mm)" if length < 10 * extent_mm else ""
+    return f"a translation{here} along ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def motion_names(twists: Floats, extent: float, centre: Floats) -> list[str]:
