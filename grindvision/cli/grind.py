@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
-from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
+from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot, where_it_was
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.part import add_box_arguments, add_datum_argument, doubts_before_grinding, read_datum
 from grindvision.cli.report import Run, add_output_arguments
@@ -22,7 +22,6 @@ from grindvision.cli.scans import (
     read_correction,
     read_pose,
     size_question,
-    where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.words import counted
@@ -235,10 +234,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("picture"):
             draw(found.stock.pieces, found.plans, None, str(found), work.warnings, facts, work.place)
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
-        if robot is not None:
-            questions.append(where_it_stood(robot.T_base_scanner, robot.robot))
-        elif T_base_scanner is not None:
-            questions.append(where_it_stood(T_base_scanner))
+        questions += where_it_was(T_base_scanner, robot)
         results = {
             "T_sample_test": found.T_sample_test,
             "confidence": found.compared.registration.confidence,
