@@ -137,14 +137,17 @@ def _turned(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], steps:
 
 
 def _repeated(judge: PoseJudge, best: Candidate, near: Sequence[Candidate], kept: int = 6) -> list[Floats]:
-    """The likeliest poses a tooth, a hole or several further, where near rivals show that the part repeats itself."""
+    """The likeliest poses a tooth, a hole or several further, where near rivals show that the part repeats itself and
+    as much of it overlaps: turned to where hardly anything does, a shaft hides its key."""
     poses = []
     for axis in _axes_between(best, near):
         about = [one.pose for one in near if _is_turned_about(axis, one, best)]
         folds = _folds([angle_between(pose, best.pose) for pose in about])
         poses += [_about(axis, 2 * np.pi * k / folds, best) for k in range(1, folds)]
-    costs = parallel_map(lambda pose: judge.evidence(pose, None).cost(), poses)
-    return [poses[at] for at in np.argsort(costs, kind="stable")[:kept]]
+    seen = parallel_map(lambda pose: judge.evidence(pose, None), poses)
+    least = OVERLAPS * judge.evidence(best.pose, None).met
+    likely = [at for at in np.argsort([one.cost() for one in seen], kind="stable") if seen[at].met > least]
+    return [poses[at] for at in likely[:kept]]
 
 
 def _about(axis: Axis, turn: float, best: Candidate) -> Floats:
