@@ -26,7 +26,7 @@ TOOLS = ("detect", "groove", "calibrate", "calibrate-field", "simulate")
 
 @pytest.fixture
 def scan(tmp_path, rng):
-    write_ply(tmp_path / "cloud.ply", straight_groove(rng, spacing_mm=1.5)[0])
+    write_ply(tmp_path / "cloud.ply", straight_groove(rng, spacing_mm=1.2)[0])
     return tmp_path / "cloud.ply"
 
 

@@ -30,6 +30,8 @@ MIN_EDGE_DEG, MAX_BEND, MAX_BESIDE_DEG = 8.0, 0.22, 14.0
 #: unless what they leave is within so many times the medians' own noise, which then hides which of both it is.
 EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35), 0.85
 MIN_MISFIT_NOISE = 2.0
+#: An edge is told from an arc by so many places of a profile at least.
+MIN_PLACES = 7
 #: A wall is upright whose edge lies within this fraction of the width from the root.
 UPRIGHT = 0.15
 #: So many points of the cloud show the edges; multiples of the golden ratio are spread evenly and hit no period.
@@ -62,7 +64,7 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
         sides = edges_of_sides(groove, cloud[np.isfinite(cloud).all(axis=1)])
         why = {
             Edge.UNTOLD: "the noise hides whether its sides end at edges or bend on",
-            Edge.UNSEEN: "hardly any surface is seen beside it on one side",
+            Edge.UNSEEN: "hardly any points show how it ends on one side",
         }
         why_not = [words for edge, words in why.items() if edge in sides]
         if why_not and groove.edges_seen >= MIN_BOTH_SIDES:
@@ -176,13 +178,23 @@ def _median_profile(place: Floats, height: Floats) -> tuple[Floats, float]:
 
 
 def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
-    """Slopes (3,) of inner wall, outer wall and surface in a profile (B, 2) of places in half widths and heights."""
+    """Slopes (3,) of inner wall, outer wall and surface in a profile (B, 2) of places in half widths and heights.
+
+    Of a wall of so few places that one of its parts has none, both parts have the slope of all of it.
+    """
     slopes = np.full(3, np.nan)
     for row, (low, high) in enumerate((INNER_WALL, OUTER_WALL, BESIDE)):
         part = profile[(profile[:, 0] > low) & (profile[:, 0] < high)]
         if len(part) > 1:
-            slopes[row] = np.degrees(np.arctan(np.polyfit(part[:, 0] * half_mm, part[:, 1], 1)[0]))
+            slopes[row] = _slope_deg(part, half_mm)
+    wall = profile[(profile[:, 0] > INNER_WALL[0]) & (profile[:, 0] < OUTER_WALL[1])]
+    if np.isnan(slopes[:2]).any() and len(profile) >= MIN_PLACES and len(wall) > 1:
+        slopes[:2] = _slope_deg(wall, half_mm)
     return slopes
+
+
+def _slope_deg(places: Floats, half_mm: float) -> float:
+    return float(np.degrees(np.arctan(np.polyfit(places[:, 0] * half_mm, places[:, 1], 1)[0])))
 
 
 def edge_or_arc(profile: Floats, noise_mm: float) -> Edge:
@@ -190,7 +202,7 @@ def edge_or_arc(profile: Floats, noise_mm: float) -> Edge:
     found = []
     for start in SIDE_STARTS:
         place, height = profile[profile[:, 0] > start].T
-        if len(place) < 7:
+        if len(place) < MIN_PLACES:
             return Edge.ENDS
         line = np.column_stack([np.ones_like(place), place])
         edge = min(_misfit(np.column_stack([line, np.maximum(place - at, 0)]), height) for at in EDGE_PLACES)
