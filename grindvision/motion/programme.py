@@ -55,11 +55,12 @@ def write_programme(motion: Motion, path: str | Path, form: str) -> None:
 
 
 def csv_text(motion: Motion) -> str:
-    """One row per worked pose: time, joint angles, tool position and ``rpy_rad`` in the base frame."""
+    """One row per worked pose: time, joint angles, tool position and ``rpy_rad`` in the base in which the controller
+    shows poses, which for UR, FANUC and Yaskawa is not the model's."""
     joints = [f"{joint}_rad" for joint in motion.robot.joints]
     header = ["waypoint", "time_s", *joints, "x_mm", "y_mm", "z_mm", "roll_rad", "pitch_rad", "yaw_rad"]
     rows = [",".join(header)]
-    tool = Trajectory(motion.path.T_base_tool)
+    tool = Trajectory(motion.robot.T_controller_base @ motion.path.T_base_tool)
     numbers = np.column_stack([motion.timing.waypoint_time_s, motion.path.q_rad, tool.positions_mm, tool.rpy_rad])
     rows += [",".join([str(number), *map(repr, row)]) for number, row in enumerate(numbers.tolist())]
     return "\n".join(rows) + "\n"
