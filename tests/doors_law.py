@@ -47,7 +47,7 @@ def pcd(points, form):
 def good(tmp_path_factory):
     """Folder of inputs that every door takes; the cloud stands there in every format."""
     folder = tmp_path_factory.mktemp("good")
-    points, _ = straight_groove(np.random.default_rng(0), spacing_mm=1.5)
+    points, _ = straight_groove(np.random.default_rng(0), spacing_mm=1.2)
     points = points.astype(np.float32).astype(float)
     write_ply(folder / "a.ply", points)
     head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n" + "".join(f"property float {a}\n" for a in "xyz")
