@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from grindvision.arm import MdhArm, write_arm
 from grindvision.cell import weld_scene
 from grindvision.cli import main
+from grindvision.cli.camera_pose import where_it_stood
 from grindvision.cli.robot_job import add_robot_arguments, motion_facts, robot_job
-from grindvision.cli.scans import where_it_stood
 from grindvision.errors import FileError, GrindvisionError, InputError, NotRigidError
 from grindvision.geometry import inverse, move_points, rigid, rotate_vectors, rotation_about
 from grindvision.motion import tool_trajectory, welding_torch
@@ -117,7 +117,8 @@ def test_a_pose_from_the_controller_counts_from_the_controller_s_base(tmp_path, 
         robot_job(options(*common, "--scanner-pose", str(bare)))
     with pytest.raises(InputError, match="leave --base out"):
         robot_job(options(*common, *by_hand_eye, "--base", "model"))
-    assert f"({T_controller_scanner[0, 3]:.0f}, " in where_it_stood(of_model.T_base_scanner, of_model.robot)
+    (question,) = where_it_stood(None, of_model)
+    assert f"({T_controller_scanner[0, 3]:.0f}, " in question
 
 
 def test_the_groove_door_writes_the_programme_or_nothing(tmp_path, capsys):

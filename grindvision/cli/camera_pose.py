@@ -6,7 +6,7 @@ import argparse
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from grindvision.cli.parameters import number
 from grindvision.errors import FileError, GrindvisionWarning, InputError, UnitError
@@ -246,3 +246,37 @@ def _stated_base(path: str) -> str | None:
     if stated is not None and stated not in BASES:
         raise FileError(f"{path}: base {str(stated)[:40]!r} is unknown; give one of {', '.join(BASES)}")
     return stated
+
+
+class Job(Protocol):
+    """A robot, and the scanner's pose (4, 4) in the base of its model."""
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+
+    @property
+    def T_base_scanner(self) -> np.ndarray:
+        """The scanner's pose."""
+
+
+def where_it_stood(T_base_scanner: np.ndarray | None, job: Job | None = None) -> list[str]:
+    """The question where the scanner stood, so that an inverse or another base given by mistake can be seen: its pose
+    (4, 4) in words, of a ``job`` whose controller counts from another base than its robot's model in both; none
+    without a pose."""
+    import numpy as np
+
+    pose = T_base_scanner if job is None else job.T_base_scanner
+    if pose is None:
+        return []
+    x, y, z, a, b, c = *pose[:3, 3], *pose[:3, 2]
+    shown = ""
+    if job is not None and not np.array_equal(job.robot.T_controller_base, np.eye(4)):
+        u, v, w = (job.robot.T_controller_base @ pose)[:3, 3]
+        shown = (
+            f" of the robot's model, at ({u:.0f}, {v:.0f}, {w:.0f}) mm in the one in which its controller shows poses"
+        )
+    return [
+        f"scanner at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base frame{shown}, its z axis along ({a:.2f}, {b:.2f},"
+        f" {c:.2f}): is that where it stood?"
+    ]

@@ -7,7 +7,7 @@ import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose
+from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose, where_it_stood
 from grindvision.cli.deformation_file import DEFORMATION_FILE, deformation_text
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.part import add_box_arguments, add_datum_argument, cut_to_box, read_datum
@@ -26,7 +26,6 @@ from grindvision.cli.scans import (
     read_pair,
     rows_text,
     size_question,
-    where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
 
@@ -166,8 +165,7 @@ def run(options: argparse.Namespace) -> int:
         with work.stage("picture"):
             draw(found, work.warnings, work.place / "report.png")
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
-        if T_base_scanner is not None:
-            questions.append(where_it_stood(T_base_scanner))
+        questions += where_it_stood(T_base_scanner)
         values = _from_the_data(options, found)
         shown = "" if found.model is None else f"SAMPLE is a model: {found.model}"
         work.report(str(found), _results(found), values, found.timings_s, shown, questions)

@@ -8,8 +8,9 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from grindvision.cli.camera_pose import where_it_stood
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
-from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot, where_it_was
+from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.part import add_box_arguments, add_datum_argument, doubts_before_grinding, read_datum
 from grindvision.cli.report import Run, add_output_arguments
@@ -234,7 +235,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
         with work.stage("picture"):
             draw(found.stock.pieces, found.plans, None, str(found), work.warnings, facts, work.place)
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
-        questions += where_it_was(T_base_scanner, robot)
+        questions += where_it_stood(T_base_scanner, robot)
         results = {
             "T_sample_test": found.T_sample_test,
             "confidence": found.compared.registration.confidence,

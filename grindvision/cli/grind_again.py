@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.camera_pose import where_it_stood
 from grindvision.cli.part import doubts_before_grinding, read_datum
 from grindvision.cli.report import Run
 from grindvision.cli.scans import read_correction, read_pose, size_question
@@ -27,7 +28,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
     from grindvision.cli.detect import read_sample_and_test
     from grindvision.cli.grind import LIBRARIES, grinding_options
     from grindvision.cli.grind_results import write_ways
-    from grindvision.cli.grind_robot import PROGRAM_FILES, grind_robot, where_it_was
+    from grindvision.cli.grind_robot import PROGRAM_FILES, grind_robot
     from grindvision.cli.pictures import drawing
     from grindvision.files import sha256
     from grindvision.grinding import STAGES, GrindOptions
@@ -88,7 +89,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
             "motion": motion,
         }
         questions = [size_question(("SAMPLE", "NEWSCAN"), clouds)]
-        questions += where_it_was(T_base_scanner, robot)
+        questions += where_it_stood(T_base_scanner, robot)
         work.report(message, results, {}, found.timings_s, _shown(found), questions)
     return 3 if options.tolerance_mm is not None and not found.met else 0
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_base_argument, of_the_model
 from grindvision.cli.parameters import number
-from grindvision.cli.scans import where_it_stood
 from grindvision.errors import InputError
 from grindvision.records import by_content
 
@@ -133,10 +132,3 @@ def grind_robot(options: argparse.Namespace, T_base_scanner: np.ndarray | None) 
     # a disc looks alike from all sides; a wheel has to run along its line
     T_model_scanner, table_top = of_the_model(options, robot, T_base_scanner)
     return GrindRobot(robot, options.program, T_model_scanner, angle, table_top, options.disc is not None)
-
-
-def where_it_was(T_base_scanner: np.ndarray | None, robot: GrindRobot | None) -> list[str]:
-    """The question where the scanner stood, if that was given; with a robot in both of its bases."""
-    if robot is not None:
-        return [where_it_stood(robot.T_base_scanner, robot.robot)]
-    return [] if T_base_scanner is None else [where_it_stood(T_base_scanner)]

@@ -6,6 +6,7 @@ import argparse
 import warnings
 from typing import TYPE_CHECKING, Any
 
+from grindvision.cli.camera_pose import where_it_stood
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.robot_job import (
@@ -28,7 +29,6 @@ from grindvision.cli.scans import (
     read_scans,
     rows_text,
     size_question,
-    where_it_stood,
 )
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS
@@ -183,9 +183,7 @@ def run(options: argparse.Namespace) -> int:
                 np.save(temporary, labels)
         with work.stage("picture"):
             draw(weld, points, work.warnings, work.place / "report.png", welding)
-        questions = [size_question(("CLOUD",), (cloud,))] + (
-            [where_it_stood(job.T_base_scanner, job.robot)] if job else []
-        )
+        questions = [size_question(("CLOUD",), (cloud,)), *where_it_stood(None, job)]
         work.report(str(weld), results, _from_the_data(options, weld), weld.timings_s, questions=questions)
     if options.send is not None:
         send_if_agreed(script, options)

@@ -16,7 +16,8 @@ POSES and CLOUDs as for `grindvision hand-eye`: a row for every cloud, in their 
 joined in the robot's base frame, those of a fixed camera in the frame of the flange that holds the part.
 
 results in DIR:
-  merged.ply       all points in one frame, for detect and groove (--scanner-pose with the identity: they are there)
+  merged.ply       all points in one frame, for detect and groove: they take --scanner-pose with the
+                   identity, and groove --base controller where it has a --robot
   report.png       did it work? the views, a colour each, and how far each pair is apart where it overlaps
   report.json      meeting_mm: the median, every pair, the worst one; timings, versions, parameters; written last
 

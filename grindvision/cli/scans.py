@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from grindvision.clouds import Cloud
     from grindvision.models import Model
-    from grindvision.motion import Robot
     from grindvision.vision.depth_calibration.field_correction import FieldCorrection
 
 CLOUD_FORMATS = "PLY, PCD, XYZ, ASC, TXT, PTS, CSV, NPY, NPZ, STL or OBJ"
@@ -308,24 +307,6 @@ def diagnose_pose(T_base_scanner: np.ndarray, points: np.ndarray) -> list[str]:
     elif part[2] < DEEPEST_MM and inverse_fits:
         found.append(f"by T_base_scanner the part lies {-part[2]:.0f} mm below the robot's base{hint}")
     return found
-
-
-def where_it_stood(T_base_scanner: np.ndarray, robot: Robot | None = None) -> str:
-    """The scanner's pose (4, 4) in words, so that an inverse or another base given by mistake can be seen; of a
-    ``robot`` whose controller counts from another base than its model, in both."""
-    import numpy as np
-
-    x, y, z, a, b, c = *T_base_scanner[:3, 3], *T_base_scanner[:3, 2]
-    shown = ""
-    if robot is not None and not np.array_equal(robot.T_controller_base, np.eye(4)):
-        u, v, w = (robot.T_controller_base @ T_base_scanner)[:3, 3]
-        shown = (
-            f" of the robot's model, at ({u:.0f}, {v:.0f}, {w:.0f}) mm in the one in which its controller shows poses"
-        )
-    return (
-        f"scanner at ({x:.0f}, {y:.0f}, {z:.0f}) mm in the base frame{shown}, its z axis along ({a:.2f}, {b:.2f},"
-        f" {c:.2f}): is that where it stood?"
-    )
 
 
 def rows_text(columns: str, points: np.ndarray, *directions: np.ndarray) -> str:
