@@ -5,15 +5,19 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from grindvision.calibration.pose_conventions import convention
 from grindvision.cli import main
+from grindvision.cli.camera_pose import camera_content
 from grindvision.clouds import write_ply
 from grindvision.errors import FileError
 from grindvision.files import write_json
-from grindvision.geometry import inverse
+from grindvision.geometry import inverse, move_points
 from grindvision.grinding_files import read_job
 from grindvision_book.chapter_16.ground_scans import ground_points
 from tests.grinding_scene import arc_bead, pair
+from tests.hand_eye_scene import X
 
 
 def told(capsys, *words):
@@ -147,18 +151,28 @@ def test_what_cannot_be_ground_is_named_in_one_line(folder, capsys, monkeypatch,
     assert not (folder / "x").exists()
 
 
-def test_a_robot_drives_the_passes(folder, capsys, tmp_path):
+def test_a_robot_drives_the_passes_where_the_controller_s_pose_and_the_camera_on_its_flange_put_them(
+    folder, capsys, tmp_path
+):
     pytest.importorskip("pinocchio", reason="needs the extra robot")
     scene = pair(0, 60_000, beads=[arc_bead(width_mm=6.0)])
-    T_base_part = np.eye(4)
-    T_base_part[:3, 3] = (330.0, 0.0, 60.0)
-    write_json(tmp_path / "pose.json", {"T_base_scanner": T_base_part @ inverse(scene.T_test_part), "base": "model"})
-    code, _, err = told(
-        capsys, folder / "good.ply", folder / "test.ply", "-o", tmp_path / "out", "--disc", "20", "--depth", "0.7",
-        "--robot", "ur3", "--program", "urscript", "--scanner-pose", tmp_path / "pose.json",
-    )  # fmt: skip
+    T_model_part, T_controller_model = np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])
+    T_model_part[:3, 3] = (330.0, 0.0, 60.0)
+    T_controller_scanner = T_controller_model @ T_model_part @ inverse(scene.T_test_part)
+    write_json(tmp_path / "camera.json", camera_content(X, "on-arm", convention("ur")))
+    flange = T_controller_scanner @ inverse(X)
+    pose = [*flange[:3, 3], *Rotation.from_matrix(flange[:3, :3]).as_rotvec()]
+    words = [folder / "good.ply", folder / "test.ply", "-o", tmp_path / "out", "--disc", "20", "--depth", "0.7"]
+    words += ["--robot", "ur3", "--program", "urscript", "--hand-eye", tmp_path / "camera.json"]
+    code, _, err = told(capsys, *words)
+    assert code == 2 and "give --robot-pose" in err and not (tmp_path / "out").exists()
+    code, _, err = told(capsys, *words, "--robot-pose", *pose)
     assert code == 0, err
     text = (tmp_path / "out" / "grind1.script").read_text()
-    assert text.count("  move") > 40 and (tmp_path / "out" / "passes_base.csv").is_file()
     (motion,) = json.loads((tmp_path / "out" / "report.json").read_text())["motion"]
-    assert motion["position_error_mm"] < 0.01
+    assert text.count("  move") > 40 and motion["position_error_mm"] < 0.01
+    seen, based = (
+        np.loadtxt(tmp_path / "out" / name, delimiter=",", skiprows=1, usecols=(4, 5, 6))
+        for name in ("passes.csv", "passes_base.csv")
+    )
+    assert np.abs(move_points(T_controller_scanner, seen) - based).max() < 1e-3

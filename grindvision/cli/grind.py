@@ -8,7 +8,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from grindvision.cli.camera_pose import where_it_stood
+from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose, where_it_stood
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
 from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
@@ -21,7 +21,6 @@ from grindvision.cli.scans import (
     add_unit_argument,
     add_viewpoint_argument,
     read_correction,
-    read_pose,
     size_question,
 )
 from grindvision.errors import GrindvisionWarning, InputError
@@ -36,7 +35,7 @@ EPILOG = """\
 results in DIR:
   passes.csv        piece,pass,line,kind,x_mm,y_mm,z_mm,nx,ny,nz,tx,ty,tz,feed_mm_s,force_n: the way of the wheel's
                     lowest point through all passes; scanner frame of TEST, n outward normal, t along the line
-  passes_base.csv   the same in the robot's base frame, with --scanner-pose
+  passes_base.csv   the same in the robot's base frame, with --scanner-pose or --hand-eye
   grind1.*, ...     with --robot: a programme for each piece
   plan.npz          what --again goes on with
   report.pdf        one page a piece: map, section, numbers, verdict, serials, hashes, versions
@@ -45,7 +44,8 @@ results in DIR:
 The wheel must be touched off on the good surface beside the stock: where a scanner and an arm see that surface
 differs by their own calibration, which no difference of scans shows. Or say how far they may err with --place-sigma:
 the first passes stop above that, --again learns from its scan where the wheel cut, and the rest goes down to the end.
-The part stays clamped in between; give --scanner-pose in both runs unless the scanner stands still.
+The part stays clamped in between; say where the scanner stood in both runs, by --scanner-pose or --hand-eye, unless it
+stands still.
 
 exit code: 0 done, 3 with --again and --tolerance-mm: done, but the tolerance is not met, 2 the input cannot be used
 (one line says why), 1 anything else
@@ -53,6 +53,7 @@ exit code: 0 done, 3 with --again and --tolerance-mm: done, but the tolerance is
 examples:
   grindvision grind good.ply test.ply -o job --wheel 20 --width 6 --depth 0.1
   grindvision grind good.ply test.ply -o job --robot ur3 --scanner-pose pose.json --base controller --program urscript
+  grindvision grind good.ply test.ply -o job --hand-eye camera/hand_eye.json --robot-pose 412.5 80 310 180 0 45
   grindvision grind --again job after.ply --tolerance-mm 0.15
 """
 
@@ -146,6 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ways.add_argument("--keep-out", metavar="FILE", help="cloud of points, frame of TEST, that must not be touched")
     ways.add_argument("--keep-out-distance", type=number, metavar="MM", help="kept to them (default: 1)")
     ways.add_argument("--lead-angle", type=number, metavar="DEG", help="the tool's axis leans forward (default: 0)")
+    add_camera_arguments(parser, "TEST or the new scan")
     add_robot_arguments(parser)
     report = parser.add_argument_group("report")
     report.add_argument("--serial", nargs="+", metavar="NAME=VALUE", help="printed on every page, as part=A17 wheel=W3")
@@ -205,7 +207,7 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
     field = read_correction(options.field_correction, options.test_viewpoint)
     if options.place_sigma is not None and not 0 <= options.place_sigma < 1e3:
         raise InputError(f"--place-sigma is {options.place_sigma}; give a length in mm, 0 for a wheel touched off")
-    T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
+    T_base_scanner = scanner_pose(options)
     robot = grind_robot(options, T_base_scanner)
     del options.clouds
     outdated = ("passes.csv", "passes_base.csv", PLAN_FILE, "report.pdf", *PROGRAM_FILES)

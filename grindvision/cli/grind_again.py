@@ -8,10 +8,10 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from grindvision.cli.camera_pose import where_it_stood
+from grindvision.cli.camera_pose import scanner_pose, where_it_stood
 from grindvision.cli.part import doubts_before_grinding, read_datum
 from grindvision.cli.report import Run
-from grindvision.cli.scans import read_correction, read_pose, size_question
+from grindvision.cli.scans import read_correction, size_question
 from grindvision.errors import FileError, GrindvisionWarning, InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run_again(options: argparse.Namespace, serials: dict[str, str]) -> int:
         raise InputError(f"--tolerance-mm is {options.tolerance_mm}; give a height in mm above zero")
     job = read_job(options.again)
     options.sample = _sample(options, job)
-    T_base_scanner = None if options.scanner_pose is None else read_pose(options.scanner_pose)
+    T_base_scanner = scanner_pose(options)
     robot = grind_robot(options, T_base_scanner)
     del options.clouds
     options.unit = unit = options.unit or job.sample.get("unit")

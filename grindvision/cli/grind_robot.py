@@ -84,7 +84,7 @@ class GrindRobot:
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that ask for a robot's programme."""
-    group = parser.add_argument_group("robot programme (needs --robot and --scanner-pose)")
+    group = parser.add_argument_group("robot programme (needs --robot, and --scanner-pose or --hand-eye)")
     group.add_argument("--robot", metavar="NAME|FILE", help="arm, see `grindvision robots`; adds DIR/grind1.*")
     group.add_argument("--program", choices=LANGUAGES, help="language of the programme (needed with --robot)")
     group.add_argument(
@@ -112,7 +112,10 @@ def grind_robot(options: argparse.Namespace, T_base_scanner: np.ndarray | None) 
             raise InputError(f"--{lonely[0].replace('_', '-')} is for a robot's programme; give --robot as well")
         return None
     if T_base_scanner is None:
-        raise InputError("--robot needs --scanner-pose: where the scanner stood in the robot's base frame")
+        raise InputError(
+            "--robot needs --scanner-pose, or --hand-eye with --robot-pose: where the scanner stood in the robot's base"
+            " frame"
+        )
     if options.program is None:
         raise InputError(f"--robot needs --program: {', '.join(LANGUAGES)}")
     from grindvision.motion import UR_JOINTS, LoadRobotOptions, grinding_spindle, known_robots, load_robot
