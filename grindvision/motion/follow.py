@@ -69,18 +69,49 @@ def follow_trajectory(
         UnreachableError: a pose is not reached, or the arm would have to turn over between two; the message tells which
             way point, why, and what to move.
     """
+    try:
+        return follow_or_stop(robot, trajectory, q_start_rad, spin_free)
+    except Stopped as stopped:
+        raise stopped.complaint() from None
+
+
+@dataclass(eq=False)
+class Stopped(Exception):
+    """A pose out of ``poses`` (N, 4, 4) was not reached from ``q_start_rad`` (n,); ``complaint`` says which and why."""
+
+    robot: Robot
+    poses: Floats
+    q_start_rad: Floats
+    spin_free: bool
+
+    @one_blas_thread()
+    def complaint(self) -> UnreachableError:
+        """The error in words; it takes longer than the attempt: all poses are tried for it."""
+        q, position_error, angle_error = _drive(self.robot, self.poses, self.q_start_rad, self.spin_free)
+        return UnreachableError(
+            _complaint(self.robot, self.poses, q, _missed(position_error, angle_error), self.spin_free)
+        )
+
+
+def follow_or_stop(robot: Robot, trajectory: Trajectory, q_start_rad: Floats, spin_free: bool) -> JointPath:
+    """``follow_trajectory`` that stops at the first pose that it does not reach.
+
+    Raises:
+        Stopped: there. UnreachableError: the arm would have to turn over between two poses.
+    """
     _check_angles(robot, q_start_rad)
     poses = trajectory.T_base_tool_worked
     start = np.array(q_start_rad, dtype=float)
     for _ in range(robot.model.nq):
-        q, position_error, angle_error = _drive(robot, poses, start, spin_free)
+        begun = start
+        q, position_error, angle_error = _drive(robot, poses, begun, spin_free, to_the_end=False)
         missed = _missed(position_error, angle_error)
         turned = _turned_back(robot, start, q[int(missed.argmax())]) if missed.any() else None
         if turned is None:
             break
         start = turned
     if missed.any():
-        raise UnreachableError(_complaint(robot, poses, q, missed, spin_free))
+        raise Stopped(robot, poses, begun, spin_free)
     _check_branch(robot, poses, q)
     return JointPath(trajectory, q, robot.forward(q), position_error, angle_error)
 
@@ -118,16 +149,23 @@ def start_angles(
 
 
 def _drive(
-    robot: Robot, poses: Floats, q_start: Floats, spin_free: bool, mm_per_rad: float = _MM_PER_RAD
+    robot: Robot,
+    poses: Floats,
+    q_start: Floats,
+    spin_free: bool,
+    mm_per_rad: float = _MM_PER_RAD,
+    to_the_end: bool = True,
 ) -> tuple[Floats, Floats, Floats]:
-    """Angles (N, n) nearest to each pose (N, 4, 4) in turn, with the tip's error in mm and the direction's in rad."""
+    """Angles (N, n) nearest to each pose (N, 4, 4) in turn, with the tip's error in mm and the direction's in rad.
+
+    Where not ``to_the_end``, zeros stand behind the first pose that is missed.
+    """
     model = robot.model
     orientation_cost = mm_per_rad * np.array([1.0, 1.0, 0.0 if spin_free else 1.0])
     task = FrameTask(TOOL_FRAME, position_cost=1.0, orientation_cost=orientation_cost, lm_damping=1e-3)
     limits = [ConfigurationLimit(model, config_limit_gain=1.0), VelocityLimit(model)]
     configuration = Configuration(model, model.createData(), q_start)
-    q = np.empty((len(poses), model.nq))
-    errors = np.empty((2, len(poses)))
+    q, errors = np.zeros((len(poses), model.nq)), np.zeros((2, len(poses)))
     for row, pose in enumerate(poses):
         target = (
             _spun_like(pose, configuration.get_transform_frame_to_world(TOOL_FRAME).rotation) if spin_free else pose
@@ -147,6 +185,8 @@ def _drive(
                 break
         q[row] = configuration.q
         errors[:, row] = _error(pose, configuration.get_transform_frame_to_world(TOOL_FRAME).homogeneous, spin_free)
+        if not to_the_end and _missed(*errors[:, row]):
+            break
     return q, errors[0], errors[1]
 
 

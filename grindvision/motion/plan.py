@@ -12,7 +12,7 @@ from grindvision.errors import CollisionError, InputError, UnreachableError
 from grindvision.lazy import renamed_fields
 from grindvision.loose_settings import settings_in
 from grindvision.motion.clearance import Clearance, Obstacle, measure_clearance, table
-from grindvision.motion.follow import JointPath, follow_trajectory, start_angles
+from grindvision.motion.follow import JointPath, Stopped, follow_or_stop, start_angles
 from grindvision.motion.robot import Robot
 from grindvision.motion.timing import TOOL_ACCELERATION, TimeLaw, time_law
 from grindvision.motion.trajectory import Trajectory
@@ -113,17 +113,18 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
     table_top_mm, min_clearance_mm = options.table_top_mm, options.min_clearance_mm
     _check_above_table(trajectory, table_top_mm)
     followed: list[tuple[JointPath, Floats, int]] = []
-    complaints: list[UnreachableError] = []
+    complaints: list[Stopped | UnreachableError] = []
     for start in start_angles(robot, trajectory.T_base_tool[0], rng, spin_free=spin_free):
         try:
-            path = follow_trajectory(robot, trajectory, start, spin_free=spin_free)
+            path = follow_or_stop(robot, trajectory, start, spin_free)
             ends = [_backed_off(robot, path, row, options.backed_off_mm, spin_free) for row in (0, -1)]
-        except UnreachableError as error:
+        except (Stopped, UnreachableError) as error:
             complaints.append(error)
         else:
             followed.append((path, np.vstack([ends[0][::-1], path.q_rad, ends[1]]), len(ends[0])))
     if not followed:
-        raise complaints[0]
+        first = complaints[0]
+        raise first.complaint() if isinstance(first, Stopped) else first
     the_table = table(table_top_mm)
     followed.sort(key=lambda one: (-(measure_clearance(robot, one[1], [the_table]).min_mm // 10), _travel(one[1])))
     blocked: list[Clearance] = []
@@ -139,10 +140,10 @@ def plan_motion(robot: Robot, trajectory: Trajectory, options: PlanMotionOptions
             return Motion(robot, path, q[0], q[-1], free, timing)
         blocked.append(free)
     tightest = max(blocked, key=lambda one: one.min_mm)
-    first, second = tightest.nearest[tightest.tightest]
+    one, other = tightest.nearest[tightest.tightest]
     where = min(max(tightest.tightest - 1, 0), len(trajectory.T_base_tool) - 1)
     raise CollisionError(
-        f"{first} and {second} come within {tightest.min_mm:.1f} mm near way point {where}, even on the best of"
+        f"{one} and {other} come within {tightest.min_mm:.1f} mm near way point {where}, even on the best of"
         f" {len(followed)} branches of {robot.name}; {min_clearance_mm:g} mm is asked for: move or turn the work, or"
         " tilt the tool"
     )
@@ -158,7 +159,7 @@ def _backed_off(robot: Robot, path: JointPath, row: int, length_mm: float, spin_
     ups = np.linspace(0.0, length_mm, int(np.ceil(length_mm / WAY_STEP_MM)) + 1)
     back = np.repeat(pose[None], len(ups), axis=0)
     back[:, :3, 3] -= ups[:, None] * pose[:3, 2]
-    return follow_trajectory(robot, Trajectory(back), path.q_rad[row], spin_free=spin_free).q_rad[1:]
+    return follow_or_stop(robot, Trajectory(back), path.q_rad[row], spin_free).q_rad[1:]
 
 
 def _ways_as_one(free: Clearance, way: int) -> Clearance:
