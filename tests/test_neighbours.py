@@ -18,6 +18,18 @@ def test_the_nearest_point_is_the_kd_tree_s(rng):
         assert np.isinf(distances[~found]).all()
 
 
+@pytest.mark.parametrize("size, most", [(0.05, 0.4), (1.0, 7.5)])
+def test_searches_far_from_all_points_are_the_kd_tree_s(rng, size, most):
+    """Two clusters, of more cells along an axis than there are blocks, with much empty space in between and around."""
+    points = np.concatenate([rng.normal(size=(2000, 3)), rng.normal(size=(50, 3)) + [40.0, 0, -3]])
+    queries = np.concatenate([rng.uniform(-12, 50, size=(2000, 3)), points[::7] + 0.9 * size, [[1e6, -1e6, 0.0]]])
+    indices, distances = nearest(build_cells(points, size), queries, most)
+    expected, there = cKDTree(points).query(queries, distance_upper_bound=most)
+    np.testing.assert_array_equal(indices, np.where(np.isfinite(expected), there, -1))
+    np.testing.assert_allclose(distances, expected, rtol=1e-12)
+    assert 20 < (indices >= 0).sum() < len(queries) - 20
+
+
 def test_radius_neighbours_are_the_kd_tree_s(rng):
     points = rng.uniform(0, 20, size=(1500, 3))
     around = within_radius(build_cells(points, 3.0), points, 3.0)

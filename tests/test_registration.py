@@ -439,6 +439,20 @@ def test_a_far_search_goes_through_larger_cells_and_finds_the_same_planes(prepar
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize("cells", [2.0, 4.0, 6.0])
+def test_points_that_have_no_plane_are_sought_anew_as_soon_as_they_may_have_one(prepared, close, monkeypatch, cells):
+    source, target = prepared
+    cell = target.surfels.grid.size_mm
+    points, normals = source.surfels.points[::4].copy(), source.surfels.normals[::4].copy()
+    points[::3] += np.linspace(4, 10, len(points[::3]))[:, None] * cell * normals[::3]
+    asked = points, normals, target.surfels, close @ rigid(None, (1.0, 0.0, 2.0) * np.array(cell)), cells * cell
+    found = icp_planes(*asked)
+    monkeypatch.setattr(plane_icp, "SLACK", 0.0)
+    always = icp_planes(*asked)
+    np.testing.assert_array_equal(found.T_target_source, always.T_target_source)
+    assert found.iterations == always.iterations > 5 and found.overlap == always.overlap < 1
+
+
 def test_a_real_scan_agrees_as_well_however_it_lies_in_its_file(real_data):
     """At this turn the file's origin stands beside the line of sight; normals turned to it disagreed on a third."""
     from grindvision.clouds import read_cloud

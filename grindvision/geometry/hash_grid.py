@@ -17,6 +17,9 @@ Integers = NDArray[np.int64]
 AXIS_CELLS = 1 << 20
 """Maximum of cells along one axis; three axes share one 63-bit key."""
 
+_BLOCKS = 64
+"""Maximum of blocks of cells along one axis."""
+
 _EMPTY = np.int64(-1)
 _MIX = np.int64(-7046029254386353131)
 
@@ -26,7 +29,8 @@ class CellGrid(NamedTuple):
 
     A named tuple, so that kernels take it whole. Cells are numbered by their coordinates, x slowest, whatever the order
     of the points. ``order`` (N,) lists the points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``.
-    ``table_keys`` and ``table_cells`` are the open-addressed table from packed cell coordinates to c.
+    ``table_keys`` and ``table_cells`` are the open-addressed table from packed cell coordinates to c. ``blocks`` (I, J,
+    K) marks the cubes of ``2**block_bits`` cells that hold a cell: a search goes round the others.
     """
 
     points: Floats
@@ -36,6 +40,8 @@ class CellGrid(NamedTuple):
     starts: Integers
     table_keys: Integers
     table_cells: NDArray[np.int32]
+    block_bits: int
+    blocks: NDArray[np.bool_]
 
     @property
     def keys(self) -> Integers:
@@ -65,7 +71,24 @@ def build_cells(points: ArrayLike, size_mm: float) -> CellGrid:
     origin = cell_origin(points, size_mm)
     cell_of_point, keys, table_keys, table_cells = assign_cells(points, origin, 1.0 / size_mm)
     order, starts = _sorted_by_cell(cell_of_point, len(keys))
-    return CellGrid(points, float(size_mm), origin, order, starts, table_keys, table_cells)
+    return CellGrid(points, float(size_mm), origin, order, starts, table_keys, table_cells, *blocks_of(keys))
+
+
+def grid_of_means(
+    means: Floats, size_mm: float, origin: Floats, keys: Integers, table: tuple[Integers, NDArray[np.int32]]
+) -> CellGrid:
+    """Grid of cells with one point each, ``means`` (C, 3) in the order of the ``keys`` (C,) of ``assign_cells``."""
+    cells = np.arange(len(keys) + 1)
+    return CellGrid(means, float(size_mm), origin, cells[:-1], cells, *table, *blocks_of(keys))
+
+
+def blocks_of(keys: Integers) -> tuple[int, NDArray[np.bool_]]:
+    """``block_bits`` and ``blocks`` (I, J, K) of cells with the given keys (C,), as ``CellGrid`` has them."""
+    if not len(keys):
+        return 2, np.zeros((1, 1, 1), dtype=np.bool_)
+    highest = _highest(keys)
+    bits = max(2, int(highest.max() // _BLOCKS).bit_length())
+    return bits, _marked(keys, bits, highest)
 
 
 def cell_origin(points: Floats, size_mm: float) -> Floats:
@@ -157,6 +180,38 @@ def random_order(keys: Integers, rng: np.random.Generator) -> Integers:
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # SplitMix64 (Steele 2014)
         mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
     return np.argsort(mixed ^ (mixed >> np.uint64(31)))
+
+
+@njit(cache=True, nogil=True)
+def _highest(keys: Integers) -> Integers:
+    """Maximum (3,) of the coordinates of cells with the given keys (C,)."""
+    axis, highest = (1 << 21) - 1, np.zeros(3, dtype=np.int64)
+    for key in keys:
+        highest[0] = max(highest[0], key >> 42)
+        highest[1] = max(highest[1], (key >> 21) & axis)
+        highest[2] = max(highest[2], key & axis)
+    return highest
+
+
+@njit(cache=True, nogil=True)
+def _marked(keys: Integers, bits: int, highest: Integers) -> NDArray[np.bool_]:
+    """Marks of the cubes of ``2**bits`` cells that hold one of the cells with the given keys (C,)."""
+    axis = (1 << 21) - 1
+    marks = np.zeros(((highest[0] >> bits) + 1, (highest[1] >> bits) + 1, (highest[2] >> bits) + 1), dtype=np.bool_)
+    for key in keys:
+        marks[key >> 42 >> bits, ((key >> 21) & axis) >> bits, (key & axis) >> bits] = True
+    return marks
+
+
+@njit(cache=True, nogil=True)
+def any_in_blocks(blocks: NDArray[np.bool_], low: tuple[int, int, int], high: tuple[int, int, int]) -> bool:
+    """Whether one of the ``blocks`` from ``low`` to ``high``, both included, is marked."""
+    for i in range(max(low[0], 0), min(high[0] + 1, blocks.shape[0])):
+        for j in range(max(low[1], 0), min(high[1] + 1, blocks.shape[1])):
+            for k in range(max(low[2], 0), min(high[2] + 1, blocks.shape[2])):
+                if blocks[i, j, k]:
+                    return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
-from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, cell_key, find_slot
+from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, any_in_blocks, cell_key, find_slot
 from grindvision.kernels import njit
 from grindvision.records import by_content
 
@@ -75,6 +75,7 @@ def nearest_one(
     """Index and squared distance of the grid point nearest to (x, y, z) within ``max_mm``; -1 where there is none."""
     points, order, starts = grid.points, grid.order, grid.starts
     table_keys, table_cells = grid.table_keys, grid.table_cells
+    bits, blocks = grid.block_bits, grid.blocks
     origin, per_mm = grid.origin_mm, 1.0 / grid.size_mm
     cx, cy, cz = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
     i0, j0, k0 = int(np.floor(cx)), int(np.floor(cy)), int(np.floor(cz))
@@ -86,17 +87,24 @@ def nearest_one(
         clear, limit = max(ring - 1 + inside, 0.0), best_squared * per_mm * per_mm
         if ring > 0 and clear * clear > limit:
             break
-        for i in range(max(i0 - ring, 0), min(i0 + ring + 1, AXIS_CELLS)):
+        if ring == 2 and best < 0:
+            low = (i0 - rings) >> bits, (j0 - rings) >> bits, (k0 - rings) >> bits
+            high = (i0 + rings) >> bits, (j0 + rings) >> bits, (k0 + rings) >> bits
+            if not any_in_blocks(blocks, low, high):
+                break
+        for i in range(max(i0 - ring, 0), min(i0 + ring + 1, blocks.shape[0] << bits)):
             away_i = _gap(cx, i)
             if away_i > limit:
                 continue
-            for j in range(max(j0 - ring, 0), min(j0 + ring + 1, AXIS_CELLS)):
+            for j in range(max(j0 - ring, 0), min(j0 + ring + 1, blocks.shape[1] << bits)):
                 away_ij = away_i + _gap(cy, j)
                 if away_ij > limit:
                     continue
                 step = 1 if ring == 0 or abs(i - i0) == ring or abs(j - j0) == ring else 2 * ring
                 for k in range(k0 - ring, k0 + ring + 1, step):
-                    if k < 0 or k >= AXIS_CELLS or away_ij + _gap(cz, k) > limit:
+                    if k < 0 or k >= blocks.shape[2] << bits or away_ij + _gap(cz, k) > limit:
+                        continue
+                    if ring > 1 and not blocks[i >> bits, j >> bits, k >> bits]:
                         continue
                     slot = find_slot(table_keys, cell_key(i, j, k))
                     if table_keys[slot] < 0:

@@ -113,8 +113,9 @@ def _moved(judge: PoseJudge, rotation: Floats) -> list[Floats]:
         return []
     ways = places[other] - points[one]
     size = BIN * judge.extent
-    spots, bins = np.unique(np.floor(ways / size).astype(np.int64), axis=0, return_inverse=True)
-    bins = bins.ravel()
+    cells = np.floor(ways / size).astype(np.int64)
+    cells -= cells.min(axis=0)
+    spots, bins = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_inverse=True)
     # a point votes once for a bin, however many of the others lie there: faces would outvote edges
     voters = np.unique(bins * np.int64(VOTERS) + one) // VOTERS
     votes = np.bincount(voters, minlength=len(spots))

@@ -32,8 +32,12 @@ NORMAL_NOISE = 0.01
 """Error in radians of the surfels' normals: steps are damped as if so much were all that holds a motion, or the pose
 would wander along motions that nothing but this error resists."""
 
-FAR_CELLS = 8
+FAR_CELLS = 5
 """A search that goes farther than so many of the target's cells, most of them empty, goes through larger ones."""
+
+SLACK = 0.25
+"""Planes are sought farther than they count by this share of the reach: a point that has none is then not sought anew
+until it has moved so far that it may have one."""
 
 EVERY, MANY = 16, 10_000
 """Every sixteenth point alone comes near first, where there are more than ten thousand: far searches are long."""
@@ -69,7 +73,7 @@ def icp_planes(
     normals = np.ascontiguousarray(source_normals, dtype=float)
     size = target.grid.size_mm
     max_mm = 3 * size if max_mm is None else float(max_mm)
-    limits, grid = _limits(target, max_mm, REMATCH_TOLERANCE), _grid_to_search(target, max_mm)
+    limits, grid = _limits(target, max_mm, REMATCH_TOLERANCE, SLACK), _grid_to_search(target, max_mm)
 
     def icp(source: Floats, normals: Floats, start: Floats) -> tuple[Floats, Floats, Floats, Floats, float, int, bool]:
         return _plane_icp(source, normals, start, target.normals, grid, limits, float(min_scale_mm), iterations)
@@ -98,7 +102,7 @@ def plane_residuals(
     """Distances (N,) of moved points (N, 3) along the target's normals, NaN where the target shows nothing within
     ``max_mm``, and whether the normals (N, 3) are less than 45 degrees apart."""
     found, grid = _no_matches(len(source)), _grid_to_search(target, max_mm)
-    _match(source, source_normals, T_target_source, target.normals, grid, _limits(target, max_mm, 0.0), found)
+    _match(source, source_normals, T_target_source, target.normals, grid, _limits(target, max_mm, 0.0, 0.0), found)
     shown = found.planes >= 0
     return np.where(shown, found.residuals, np.nan), shown & (found.facing > MIN_FACING)
 
@@ -108,10 +112,10 @@ def _grid_to_search(target: Surfels, max_mm: float) -> CellGrid:
     return target.grid if max_mm <= FAR_CELLS * target.grid.size_mm else build_cells(target.points, max_mm / 2)
 
 
-def _limits(target: Surfels, max_mm: float, rematch_tolerance: float) -> _Limits:
-    """Limits of the search on a target, whose cells are the unit of the constants."""
+def _limits(target: Surfels, max_mm: float, rematch_tolerance: float, slack: float) -> _Limits:
+    """Limits of the search on a target, whose cells are the unit of the constants; ``slack``: a share of the reach."""
     size = target.grid.size_mm
-    return _Limits(float(max_mm), MAX_LATERAL_OFFSET * size, rematch_tolerance * size)
+    return _Limits(float(max_mm), MAX_LATERAL_OFFSET * size, rematch_tolerance * size, slack * float(max_mm))
 
 
 @njit(cache=True, nogil=True)
@@ -133,20 +137,25 @@ def solve_definite(matrix: Floats, right: Floats) -> Floats:
 
 
 class _Limits(NamedTuple):
-    """How far a plane may lie from its point, and how far along itself; a point that has moved less keeps its plane."""
+    """How far a plane may lie from its point, and how far along itself; a point that has moved less keeps its plane.
+    Points are sought ``slack_mm`` beyond, which tells how far one that has none may move before it can have one."""
 
     max_mm: float
     max_lateral_mm: float
     rematch_mm: float
+    slack_mm: float
 
 
 class _Matches(NamedTuple):
     """The planes found for points (N, 3): where the points have ``moved`` to, where their planes were last ``sought``
     from, the ``planes``' indices (N,), -1 where none is shown, ``residuals`` (N,) along their normals, and the cosines
-    ``facing`` (N,) between the normals."""
+    ``facing`` (N,) between the normals. Nothing is near a point that is nearer than ``clear`` (N,) to ``lost`` (N, 3).
+    """
 
     moved: Floats
     sought: Floats
+    lost: Floats
+    clear: Floats
     planes: Integers
     residuals: Floats
     facing: Floats
@@ -158,6 +167,8 @@ def _no_matches(count: int) -> _Matches:
     return _Matches(
         np.empty((count, 3)),
         np.full((count, 3), np.inf),
+        np.empty((count, 3)),
+        np.zeros(count),
         np.empty(count, dtype=np.int64),
         np.empty(count),
         np.empty(count),
@@ -178,8 +189,8 @@ def _match(
 
     A point keeps its plane while it is nearer than ``rematch_mm`` to the place from which the plane was sought.
     """
-    max_mm, max_lateral_mm, rematch_mm = limits
-    moved, sought, matches, residuals, facing = found
+    max_lateral_mm, rematch_mm = limits.max_lateral_mm, limits.rematch_mm
+    moved, sought, matches, residuals, facing = found.moved, found.sought, found.planes, found.residuals, found.facing
     points = grid.points
     m = transform
     for p in range(len(source)):
@@ -190,7 +201,7 @@ def _match(
         moved[p, 0], moved[p, 1], moved[p, 2] = x, y, z
         ax, ay, az = x - sought[p, 0], y - sought[p, 1], z - sought[p, 2]
         if not ax * ax + ay * ay + az * az < rematch_mm * rematch_mm:
-            matches[p], _ = nearest_one(x, y, z, max_mm, grid)
+            matches[p] = _sought(p, x, y, z, grid, limits, found)
             sought[p, 0], sought[p, 1], sought[p, 2] = x, y, z
         q = matches[p]
         if q < 0:
@@ -204,6 +215,26 @@ def _match(
         facing[p] = 0.0
         for k in range(3):
             facing[p] += t[k] * (m[k, 0] * n[0] + m[k, 1] * n[1] + m[k, 2] * n[2])
+
+
+@njit(cache=True, nogil=True)
+def _sought(p: int, x: float, y: float, z: float, grid: CellGrid, limits: _Limits, found: _Matches) -> int:
+    """Index of the plane nearest to point p at (x, y, z), -1 where there is none within the limit: without a search
+    where the last one found none and the point has moved less since than the nearest plane was beyond the limit."""
+    lost, clear = found.lost, found.clear
+    if clear[p] > 0.0:
+        dx, dy, dz = x - lost[p, 0], y - lost[p, 1], z - lost[p, 2]
+        if dx * dx + dy * dy + dz * dz < clear[p] * clear[p]:
+            return -1
+    max_mm, slack_mm = limits.max_mm, limits.slack_mm
+    q, squared = nearest_one(x, y, z, max_mm + slack_mm, grid)
+    if q >= 0 and squared <= max_mm * max_mm:
+        clear[p] = 0.0
+        return q
+    beyond = np.sqrt(squared) - max_mm if q >= 0 else slack_mm
+    clear[p] = (1 - 1e-6) * beyond
+    lost[p, 0], lost[p, 1], lost[p, 2] = x, y, z
+    return -1
 
 
 @njit(cache=True, nogil=True)

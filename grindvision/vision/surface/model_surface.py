@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.errors import DegenerateError
-from grindvision.geometry.hash_grid import CellGrid, assign_cells, build_cells, cell_origin
+from grindvision.geometry.hash_grid import assign_cells, build_cells, cell_origin, grid_of_means
 from grindvision.triangles import spread_points
 from grindvision.vision.surface.facets import Facets, sound_facets
 from grindvision.vision.surface.fpfh import compute_fpfh
@@ -144,6 +144,5 @@ def _facet_surfels(points: Floats, normals: Floats, size_mm: float, one_side: bo
     owner = groups // 6
     best = np.lexsort((-counts, owner))
     best = best[np.searchsorted(owner[best], np.arange(len(keys)))]
-    cells = np.arange(len(keys) + 1)
-    grid = CellGrid(means[best], float(size_mm), origin, cells[:-1], cells, table_keys, table_cells)
+    grid = grid_of_means(means[best], size_mm, origin, keys, (table_keys, table_cells))
     return Surfels(grid, facing[best], counts[best], rough[best], rough[best]), nearest[best]

@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import DegenerateError
 from grindvision.geometry import check_points
 from grindvision.geometry.bounds import bounds
-from grindvision.geometry.hash_grid import CellGrid, assign_cells, cell_key, cell_origin, count_cells, find_slot
+from grindvision.geometry.hash_grid import (
+    CellGrid,
+    assign_cells,
+    cell_key,
+    cell_origin,
+    count_cells,
+    find_slot,
+    grid_of_means,
+)
 from grindvision.kernels import njit
 from grindvision.records import by_content
 from grindvision.vision.surface.normals import smallest_eigenpair
@@ -95,8 +103,7 @@ def build_surfels(points: ArrayLike, size_mm: float) -> Surfels:
     cell_of_point, keys, table_keys, table_cells = assign_cells(points, origin, 1.0 / size_mm)
     sums = _moments(points, cell_of_point, len(keys), origin, 1.0 / size_mm)
     means, normals, noise, roughness = _fit_planes(keys, sums, table_keys, table_cells, origin, float(size_mm))
-    cells = np.arange(len(keys) + 1)
-    grid = CellGrid(means, float(size_mm), origin, cells[:-1], cells, table_keys, table_cells)
+    grid = grid_of_means(means, size_mm, origin, keys, (table_keys, table_cells))
     return Surfels(grid, normals, sums[:, 0].astype(np.int64), noise, roughness)
 
 
