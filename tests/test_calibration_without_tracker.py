@@ -17,7 +17,7 @@ SEEN, TRACKED = ([f"{frame}{axis}_mm" for axis in "xyz"] for frame in "sb")
 
 def twin(seed, spheres, directions):
     """The table of the twin's experiment, and which rows are for the fit."""
-    made = cell.calibration_experiment(np.random.default_rng(seed), spheres, directions, 10)
+    made = cell.calibration_experiment(np.random.default_rng(seed), spheres, directions, 10 if spheres > 1 else 3)
     return made.table, made.plan.train
 
 
