@@ -52,9 +52,11 @@ def sphere_view(centre, radius, rng, n=1500, noise_mm=0.1):
     )
 
 
-def part_view(T_part_camera, rng, n=4000, flat=False, noise_mm=0.02):
-    """Points of a bumpy plate, or a flat one, 120 x 80 mm, in the frame of a camera at T_part_camera."""
-    x, y = rng.uniform(-60, 60, n), rng.uniform(-40, 40, n)
+def part_view(T_part_camera, rng, n=4000, flat=False, noise_mm=0.02, half_mm=(60, 40)):
+    """Points of a bumpy plate, or a flat one, 120 x 80 mm, in the frame of a camera at T_part_camera; where half of it
+    is longer, it lies in a larger plane of as many points an area."""
+    n = n * half_mm[0] * half_mm[1] // 2400
+    x, y = (rng.uniform(-half, half, n) for half in half_mm)
     z = np.zeros(n)
     for a, b, height, width in ((25, -10, 12, 90), (-30, 15, 9, 60), (-10, -20, 7, 40), (40, 25, 8, 50)):
         z += (0.0 if flat else height) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / width)

@@ -84,6 +84,15 @@ def test_a_view_of_another_part_is_left_out_and_told():
     assert worst(found, poses)[1] < 0.1
 
 
+def test_a_part_on_a_table_holds_the_motions_that_the_table_leaves_free():
+    poses, clouds = seen(5, 3, half_mm=(130, 90))
+    rows, extent, centre = views._resistance(clouds[0])
+    scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
+    assert np.sqrt(np.linalg.eigvalsh((rows * scale).T @ (rows * scale) / len(rows))[0]) < views.MIN_STIFFNESS
+    turn, place = worst(register_views(clouds), poses)
+    assert turn < 2e-3 and place < 0.2
+
+
 def test_a_flat_part_is_refused_and_its_three_free_motions_named():
     _, clouds = seen(3, 4, flat=True)
     with pytest.raises(AmbiguousError) as refused:

@@ -19,7 +19,14 @@ from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionError
 from grindvision.geometry import check_points, move_points, rigid
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.registration.free_motions import motion_names
+from grindvision.vision.registration.free_motions import (
+    HARDLY_KNOWN,
+    motion_name,
+    motion_names,
+    rms_extent,
+    spread_out,
+    weakest_motion,
+)
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.scan_registration import (
     MIN_POINTS,
@@ -44,6 +51,12 @@ Floats = NDArray[np.float64]
 #: A motion of a view (rms over its extent) is free where it moves the surfaces along their normals by less than this
 #: fraction: a camera's own depth error, a few hundredths of a mm, would else pass for mm of motion.
 MIN_STIFFNESS = 0.03
+
+#: But not where this fraction of the surface resists a motion by ``RESISTS`` and more, as a small part on a large table
+#: does. Of measured planes and spheres, 0.002 at most do, by the errors of their normals.
+MIN_RESISTING, RESISTS = 0.01, 0.1
+
+MORE_RELIEF = "show a part with relief on all sides, or use another target"
 
 #: Going round three views must end nearer than this fraction of the part's extent to where it began.
 CLOSED = 0.03
@@ -116,7 +129,7 @@ def register_views(
     _refuse_free(views, names)
     wanted = list(combinations(range(len(views)), 2) if pairs is None else pairs)
     ties, refused = _registered_pairs(views, names, wanted, seed, finished)
-    extent = float(np.median([_extent(view) for view in views]))
+    extent = float(np.median([rms_extent(view) for view in views]))
     for pair in open_loops(ties, CLOSED * extent, extent, [view.mean(axis=0) for view in views]):
         refused[pair] = "does not agree with the other pairs"
         del ties[pair]
@@ -176,20 +189,18 @@ def _registered(source: Floats, target: Floats, seed: int) -> Registration:
         return register(source, target, RegisterOptions(seed, np.zeros(3), np.zeros(3)))
 
 
-def _extent(points: Floats) -> float:
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
 def _tie(fine: FineRegistration, source: Floats) -> Tie:
-    """What a registration says about its pair.
+    """What a registration of a source (N, 3) says about its pair.
 
     Raises:
-        AmbiguousError: the surfaces that meet hardly resist a motion; names it.
+        AmbiguousError: the surfaces that meet hardly hold a motion, by the pose's covariance; names it.
     """
-    information = fine.information / np.trace(fine.information[:3, :3])
-    if text := _free_motions(information, _extent(source), fine.centre_mm):
-        raise AmbiguousError(text)
-    return Tie(fine.T_target_source, fine.centre_mm, information)
+    sigma, moved = weakest_motion(fine, spread_out(source))
+    extent = rms_extent(source)
+    if sigma > HARDLY_KNOWN * extent:
+        name = motion_name(moved, fine.T_target_source, source.mean(axis=0), extent)
+        raise AmbiguousError(f"free motion: {name} is within one sigma of the registration; {MORE_RELIEF}")
+    return Tie(fine.T_target_source, fine.centre_mm, fine.information / np.trace(fine.information[:3, :3]))
 
 
 def _refuse_free(views: Sequence[Floats], names: Sequence[str]) -> None:
@@ -207,25 +218,27 @@ def _refuse_free(views: Sequence[Floats], names: Sequence[str]) -> None:
 
 
 def _resistance(points: Floats) -> tuple[Floats, float, Floats]:
-    """How a surface resists motions over itself (6, 6), per unit of area, its extent, and its middle (3,)."""
+    """How far (N, 6) a view's surfels move along their normals for a unit of translation, and of rotation about the
+    view's middle; its extent, and that middle (3,)."""
     surfels = build_surfels(points, choose_resolution(points).voxel_mm)
     shown = np.linalg.norm(surfels.normals, axis=1) > 0.5
     places, normals = surfels.points[shown], surfels.normals[shown]
     middle = places.mean(axis=0)
-    rows = np.hstack([normals, np.cross(places - middle, normals)])
-    return rows.T @ rows / len(rows), _extent(points), middle
+    return np.hstack([normals, np.cross(places - middle, normals)]), rms_extent(points), middle
 
 
-def _free_motions(information: Floats, extent: float, centre: Floats) -> str:
-    """In words, motions that a surface resists by less than ``MIN_STIFFNESS``; empty where it resists all."""
+def _free_motions(rows: Floats, extent: float, centre: Floats) -> str:
+    """In words, motions that a surface of this ``_resistance`` hardly resists (``MIN_STIFFNESS``); empty where there
+    are none."""
     scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
-    squares, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    weak = squares < MIN_STIFFNESS**2
+    squares, directions = np.linalg.eigh((rows * scale).T @ (rows * scale) / max(len(rows), 1))
+    resisting = np.mean(np.abs(rows * scale @ directions) > RESISTS, axis=0)
+    weak = (squares < MIN_STIFFNESS**2) & (resisting < MIN_RESISTING)
     if not weak.any():
         return ""
     named = motion_names(directions[:, weak] * scale[:, None] * extent, extent, centre)
     return (
         f"free motion: {'; '.join(named)}; the surface moves along its normals by"
-        f" {np.sqrt(np.maximum(squares[0], 0)):.1%} of such a motion only, no more than a camera's own depth error"
-        " feigns; show a part with relief on all sides, or use another target"
+        f" {np.sqrt(max(squares[weak][0], 0)):.1%} of such a motion only, no more than a camera's own depth error"
+        f" feigns; {MORE_RELIEF}"
     )
