@@ -72,11 +72,13 @@ def test_an_edge_of_two_faces_is_an_outside_corner():
     assert np.median(seam.opening_deg) == pytest.approx(270, abs=1)
 
 
-def test_a_tube_on_a_plate_by_the_shapes_of_its_faces():
-    (seam,) = find_seams(tube_on_plate(np.random.default_rng(2)), FROM_EYE).seams
-    assert seam.kind == "tube-on-plate" and "cylinder of radius 20" in seam.evidence
-    assert np.abs(np.hypot(seam.root[:, 0], seam.root[:, 1]) - 20).mean() < 0.15
-    assert seam.length_mm > 0.7 * 20 * np.pi
+@pytest.mark.parametrize("radius_mm", [20.0, 30.0])
+def test_a_tube_on_a_plate_by_the_shapes_of_its_faces_and_its_seam_to_the_very_ends(radius_mm):
+    (seam,) = find_seams(tube_on_plate(np.random.default_rng(2), radius_mm), FROM_EYE).seams
+    assert seam.kind == "tube-on-plate" and "cylinder of radius" in seam.evidence
+    off = np.abs(np.hypot(seam.root[:, 0], seam.root[:, 1]) - radius_mm)
+    assert off.mean() < 0.1 and off.max() < 0.4
+    assert seam.length_mm > 0.7 * radius_mm * np.pi
 
 
 def test_no_result_depends_on_frame_order_or_nan():

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import correlate1d, gaussian_filter1d
 
 from grindvision.geometry import unit_vectors
 from grindvision.records import by_content
@@ -178,19 +178,28 @@ def root_normals(faces: Faces, slopes: Floats) -> Floats:
 def _parabola(
     at: Integers, a: Floats, e: Floats, count: int, window: float, terms: int
 ) -> tuple[Floats, Floats, float, Floats]:
-    """Coefficients (S, 3) of e over a at every station, covariances (S, 3, 3), scatter, and the points' weights."""
+    """Coefficients (S, 3) of e over a at every station, covariances (S, 3, 3), scatter, and the points' weights.
+
+    Within the window a face may also rise evenly along the seam, or at the ends, where the window reaches to one side,
+    a seam that bends away from the curve would be drawn towards it.
+    """
     powers = np.stack([a**k for k in range(5)])
     weights, noise = np.ones(len(a)), 0.0
     coefficients, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     for _ in range(ROUNDS):
-        sums = np.stack([np.bincount(at, weights * power, count) for power in powers])
+        level = np.stack([np.bincount(at, weights * power, count) for power in powers])
         right = np.stack([np.bincount(at, weights * e * a**k, count) for k in range(terms)])
-        sums, right = (gaussian_filter1d(one, window, axis=1, mode="constant", truncate=3.0) for one in (sums, right))
-        normal = np.stack([[sums[i + j] for j in range(terms)] for i in range(terms)]).transpose(2, 0, 1)
+        normal = np.empty((count, terms + 1, terms + 1))
+        even, rising = _over_window(level, window, 0), _over_window(level[:terms], window, 1)
+        for i in range(terms):
+            normal[:, i, :terms] = even[i : i + terms].T
+            normal[:, i, terms] = normal[:, terms, i] = rising[i]
+        normal[:, terms, terms] = _over_window(level[0], window, 2)
+        sides = np.concatenate([_over_window(right, window, 0), _over_window(right[:1], window, 1)])
         scale = np.sqrt(np.maximum(np.einsum("sii->si", normal), 1e-12))
-        normal = normal / scale[:, :, None] / scale[:, None, :] + 1e-6 * np.eye(terms)
-        inverse = np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :]
-        coefficients[:, :terms] = np.einsum("sij,js->si", inverse, right)
+        normal = normal / scale[:, :, None] / scale[:, None, :] + 1e-6 * np.eye(terms + 1)
+        inverse = (np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :])[:, :terms]
+        coefficients[:, :terms] = np.einsum("sij,js->si", inverse, sides)
         off = e - sum(coefficients[at, k] * powers[k] for k in range(terms))
         known = weights > 0
         noise = max(float(MAD_TO_STD * np.median(np.abs(off[known]))) if known.any() else 0.0, MIN_NOISE_MM)
@@ -200,5 +209,14 @@ def _parabola(
         local = np.clip(np.sqrt(spread[1] / np.maximum(spread[0], 1e-9)), noise, LOCAL * noise)
         weights = np.maximum(1 - (off / np.maximum(TUKEY * local[at], 1e-9)) ** 2, 0) ** 2
     # A Gaussian window of sigma w stations counts as 2 sqrt(pi) w of them.
-    covariance[:, :terms, :terms] = inverse * noise**2 / (np.sqrt(2.0))
+    covariance[:, :terms, :terms] = inverse[:, :, :terms] * noise**2 / (np.sqrt(2.0))
     return coefficients, covariance, noise, weights
+
+
+def _over_window(sums: Floats, window: float, power: int) -> Floats:
+    """Sums (..., S) over a Gaussian window about every station, weighted by the distance along the seam, in stations,
+    to this power; nothing lies beyond the ends."""
+    reach = int(3.0 * window + 0.5)
+    steps = np.arange(-reach, reach + 1)
+    bell = np.exp(-0.5 * (steps / window) ** 2)
+    return np.asarray(correlate1d(sums, steps**power * bell / bell.sum(), axis=-1, mode="constant"))

@@ -25,6 +25,8 @@ Flags = NDArray[np.bool_]
 
 #: Passes of fitting the faces and moving the curve onto their intersection: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 4, 14
+#: A line that no longer grows is fitted so many times more: while it grows it is stiff, and its ends are too straight.
+PASSES_AT_REST = 2
 #: The points around the curve are gathered anew after so many passes, so many cells to all sides.
 NEAR_PASSES, NEAR_CELLS = 3, 21.0
 #: While a seam grows its line is stiffer, in cells, so that what bends an end does not lead it astray.
@@ -39,6 +41,8 @@ RING_CELLS, RING_TURN_RAD, RING_STATIONS = 6.0, np.radians(75.0), 3
 OVERLAP_CELLS = 4.0
 #: On both sides of a ring's join its line is bridged over so many cells.
 JOIN_CELLS = 2.0
+#: Before it is smoothed a line goes on by so many of the smoother's lengths, with the bend over so many at its end.
+CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
 #: Fraction of the usual number of points near the seam below which a station does not show a face.
 MIN_COVERAGE = 0.15
 
@@ -114,7 +118,7 @@ def _fit_along(
     curve = _smooth(curve, scale.cell, curve.stations, curve.up)
     place = cKDTree(path).query(curve.stations)[1]
     faces = faces_beside(curve, sides[0][place], sides[1][place], concave)
-    length, growing = 0.0, True
+    length, growing, at_rest = 0.0, True, 0
     cloud, members = points, np.arange(len(points))
     for number in range(MAX_PASSES):
         if number % NEAR_PASSES == 0:
@@ -135,8 +139,9 @@ def _fit_along(
         here = slice(run[0], run[1])
         grown = (run[1] - run[0]) * curve.step_mm - length
         length += grown
-        last = number == MAX_PASSES - 1 or (number >= MIN_PASSES and not growing)
+        last = number == MAX_PASSES - 1 or (number >= MIN_PASSES and at_rest >= PASSES_AT_REST)
         growing = abs(grown) > 0.5 * scale.cell
+        at_rest = 0 if growing else at_rest + 1
         if number == 1:
             scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, displacement, scale))
         curve, faces, fitted = _cut(curve, faces, fitted, here)
@@ -146,7 +151,8 @@ def _fit_along(
             return replace(result, members=members[result.members])
         weight = np.where(shown, 1.0, 0.0)
         stiffness = (GROWING_CELLS if growing else 1.0) * scale.cell
-        lateral = [smooth_along(displacement[:, k], weight, stiffness, step, robust=True) for k in range(2)]
+        length_mm = stiffness if growing else stiffness / 2
+        lateral = [smooth_along(displacement[:, k], weight, length_mm, step, robust=True) for k in range(2)]
         stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
         turned = [smooth_along(root_normals(faces, slopes)[k], weight, 2 * scale.cell, step) for k in range(2)]
         curve = _smooth(curve, stiffness / 2, stations, unit_vectors(turned[0] + turned[1]))
@@ -247,9 +253,14 @@ def _cut(curve: SeamCurve, faces: Faces, sides: FaceFit, here: slice) -> tuple[S
 
 
 def _smooth(curve: SeamCurve, length_mm: float, stations: Floats, up: Floats) -> SeamCurve:
-    even = np.ones(len(stations))
-    line = smooth_along(stations, even, length_mm, curve.step_mm)
-    return build_curve(line, smooth_along(up, even, length_mm, curve.step_mm), curve.step_mm)
+    """A curve through stations (S, 3), smoothed; continued with its bend before, or it would end straight."""
+    raw = build_curve(stations, up, curve.step_mm)
+    reach_mm = CONTINUED_LENGTHS * length_mm
+    longer = extended(raw, reach_mm, reach_mm, base_mm=BASE_LENGTHS * length_mm)
+    added = int(reach_mm / raw.step_mm)
+    even, here = np.ones(len(longer)), slice(added, len(longer) - added)
+    line, up = (smooth_along(one, even, length_mm, longer.step_mm)[here] for one in (longer.stations, longer.up))
+    return build_curve(line, up, curve.step_mm)
 
 
 def prolonged(curve: SeamCurve, faces: Faces, reach_mm: float) -> tuple[SeamCurve, Faces]:
