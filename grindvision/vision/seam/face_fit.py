@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d, gaussian_filter1d
 
 from grindvision.geometry import unit_vectors
@@ -213,7 +213,7 @@ def _parabola(
     return coefficients, covariance, noise, weights
 
 
-def _over_window(sums: Floats, window: float, power: int) -> Floats:
+def _over_window(sums: ArrayLike, window: float, power: int) -> Floats:
     """Sums (..., S) over a Gaussian window about every station, weighted by the distance along the seam, in stations,
     to this power; nothing lies beyond the ends."""
     reach = int(3.0 * window + 0.5)
