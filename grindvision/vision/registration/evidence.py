@@ -86,9 +86,13 @@ class Evidence:
         """What speaks against the pose less what speaks for it, per surfel of both scans; ``absent``: the cost of a
         surfel beside the outline."""
         hard = (self.states == IN_FRONT) | (self.states == IN_HOLE)
-        lost, met = self.states == ABSENT, self.states == AGREES
+        lost = self.states == ABSENT
+        return float(HARD * hard.sum() + absent * lost.sum()) / len(self.states) + self.misfit_cost()
+
+    def misfit_cost(self) -> float:
+        """The part of ``cost`` that is of where the surfaces meet: of the misfit there, less the gain."""
         soft = self.losses[self.states >= AGREES].sum()
-        return float(HARD * hard.sum() + SOFT * soft + absent * lost.sum() - MET * met.sum()) / len(self.states)
+        return float(SOFT * soft - MET * (self.states == AGREES).sum()) / len(self.states)
 
 
 def side(scan: Scan, chosen: Integers, image: DepthImage) -> Side:

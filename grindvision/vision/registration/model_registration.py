@@ -177,14 +177,15 @@ def _first_alignment(
     viewpoint_mm: ArrayLike | None,
     rng: np.random.Generator,
     clock: StageClock,
+    insist: bool = True,
 ) -> tuple[Scan, VerifiedPose]:
-    """The scan made ready, and its verified pose on the whole model."""
+    """The scan made ready, and its verified pose on the whole model; ``insist``: see ``choose_pose``."""
     prepared = prepare_scan(source, resolution, viewpoint_mm)
     clock.lap("features")
     proposing, choosing = rng.spawn(2)
     prepared, poses = propose(prepared, whole, proposing)
     clock.lap("coarse")
-    return prepared, choose_pose(prepared, whole, poses, choosing)
+    return prepared, choose_pose(prepared, whole, poses, choosing, insist=insist)
 
 
 def _fits_mirrored(
@@ -194,7 +195,7 @@ def _fits_mirrored(
     mirror = np.array([1.0, -1.0, 1.0])
     eye = None if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float) * mirror
     try:
-        _, pose = _first_alignment(source * mirror, whole, resolution, eye, rng, StageClock())
+        _, pose = _first_alignment(source * mirror, whole, resolution, eye, rng, StageClock(), insist=False)
     except DegenerateError:
         return False
     return pose.confidence >= CERTAIN

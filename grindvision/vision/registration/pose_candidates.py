@@ -16,6 +16,7 @@ from grindvision.parallel import parallel_map
 from grindvision.vision.registration.agreement import Agreement, agreeing_fraction
 from grindvision.vision.registration.depth_image import depth_image
 from grindvision.vision.registration.evidence import AGREES, Evidence, judge, side
+from grindvision.vision.registration.global_registration import distinct_poses
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.surface.rims import point_spacing
@@ -33,6 +34,10 @@ MAX_HARD = 0.002
 OFF_SPACINGS, ON_SPACINGS = 1.2, 0.6
 """A point that lies so many spacings of its scan off a whole model is none of its surface, and one within the second
 is: the model's own points are 0.6 apart or nearer, and of a plate's rims at rest hardly a point was farther than 1."""
+
+UNLIKE_RAD, ROUGHLY = np.radians(20), 0.4
+"""Poses turned from each other by more come to rest at different places; one at which a smaller share of this of the
+surface meets than at the best of them is not likely."""
 
 REFINED, RESTING = 300, 1000
 """Surfels that bring a proposed pose near, and to rest."""
@@ -185,11 +190,34 @@ class PoseJudge:
             self._off[pose.tobytes()] = away / spacing
         return self._off[pose.tobytes()]
 
+    def angle_of_sight(self, pose: Floats) -> float:
+        """Angle in rad between the directions in which both scanners saw the surface at a ``pose``; not a number where
+        the place of one is not known."""
+        source, target = (side.image for side in (self.source, self.target))
+        if not (source.known and target.known):
+            return float("nan")
+        middle = move_points(pose, self.centre)
+        ours, theirs = move_points(pose, source.viewpoint) - middle, target.viewpoint - middle
+        cosine = ours @ theirs / (np.linalg.norm(ours) * np.linalg.norm(theirs))
+        return float(np.arccos(np.clip(cosine, -1, 1)))
+
     def residuals(self, pose: Floats) -> Floats:
         """Distances (N,) of the source's samples along the target's normals, NaN where the surfaces do not meet."""
         points, normals = self.source.points, self.source.normals
         residuals, facing = plane_residuals(points, normals, self.fine, pose, 2 * self.fine.grid.size_mm)
         return np.where(facing, residuals, np.nan)
+
+
+def unlike_poses(judge: PoseJudge, poses: Floats, known: Iterable[Candidate], kept: int = 4) -> Floats:
+    """The likeliest few of ``poses`` (K, 4, 4) that are turned from all ``known`` candidates and from each other: of a
+    part that is nearly symmetric, the right one may be among those that are not the likeliest."""
+    turned = np.array([all(angle_between(pose, one.pose) > UNLIKE_RAD for one in known) for pose in poses], dtype=bool)
+    if not turned.any():
+        return np.empty((0, 4, 4))
+    rough = judge.rough_fractions(poses)
+    likely = np.flatnonzero(turned & (rough > ROUGHLY * rough.max()))
+    order = likely[np.argsort(-rough[likely], kind="stable")]
+    return distinct_poses(poses[order], rough[order], judge.centre, np.inf, UNLIKE_RAD, kept)[0]
 
 
 def principal_axes(points: Floats) -> Floats:

@@ -43,6 +43,9 @@ OVERLAPS = 0.6
 """A pose of which a smaller part agrees than this share of what agrees at the best one is no rival: beside each other,
 scans never contradict."""
 
+SETTLED = 6
+"""So many of the rivals that are found at once are brought to rest."""
+
 MOTION_STEPS = 36
 """Poses judged to either side along such a motion: over half a turn, or twice the extent."""
 
@@ -73,8 +76,10 @@ def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -
     turned = judge.refined_all(_turned(judge, best, near), far=True)
     found += turned
     found += judge.refined_all(_repeated(judge, best, _near(judge, best, (*near, *turned))))
-    worth = [one for one in found if one.cost < best.cost + 2 * NEARLY]
-    return judge.distinct([*known, *judge.settled(worth, 6), *_slid(judge, best)])
+    worth = judge.distinct(one for one in found if one.cost < best.cost + 2 * NEARLY)
+    if len(worth) > SETTLED:  # by all samples: of a few hundred a small mark holds too few
+        worth = judge.ranked(worth)
+    return judge.distinct([*known, *judge.settled(worth, SETTLED), *_slid(judge, best)])
 
 
 def _near(judge: PoseJudge, best: Candidate, candidates: Iterable[Candidate]) -> list[Candidate]:

@@ -276,15 +276,21 @@ def refine_from(
 
 
 def _first_alignment(
-    source: Floats, target: Floats, viewpoints_mm: Viewpoints, rng: np.random.Generator, clock: StageClock
+    source: Floats,
+    target: Floats,
+    viewpoints_mm: Viewpoints,
+    rng: np.random.Generator,
+    clock: StageClock,
+    insist: bool = True,
 ) -> tuple[Scan, Scan, VerifiedPose]:
-    """Both scans made ready, and the verified pose between them."""
+    """Both scans made ready, and the verified pose between them; ``insist``: see ``choose_pose``."""
     prepared_source, prepared_target = prepare_pair(source, target, viewpoints_mm)
     clock.lap("features")
     proposing, choosing = rng.spawn(2)  # how much one stage draws changes nothing in the next
     prepared_source, poses = propose(prepared_source, prepared_target, proposing)
     clock.lap("coarse")
-    return prepared_source, prepared_target, choose_pose(prepared_source, prepared_target, poses, choosing)
+    pose = choose_pose(prepared_source, prepared_target, poses, choosing, insist=insist)
+    return prepared_source, prepared_target, pose
 
 
 def _mirrored_fit(
@@ -294,7 +300,8 @@ def _mirrored_fit(
     mirror = np.array([1.0, -1.0, 1.0])
     seen_from = None if viewpoints_mm[0] is None else np.asarray(viewpoints_mm[0], dtype=float) * mirror
     try:
-        *_, pose = _first_alignment(source * mirror, target, (seen_from, viewpoints_mm[1]), rng, StageClock())
+        views = seen_from, viewpoints_mm[1]
+        *_, pose = _first_alignment(source * mirror, target, views, rng, StageClock(), insist=False)
     except DegenerateError:
         return None
     return pose

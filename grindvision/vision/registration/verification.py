@@ -23,7 +23,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.mirror_image import MirrorImage, mirrored_fit
 from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.plates import lies_beside, plate_poses
-from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge
+from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge, unlike_poses
 from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
 from grindvision.vision.registration.wider_features import wider_poses
 from grindvision.vision.surface.scan import Scan
@@ -64,8 +64,15 @@ ALIKE = 12.0
 CHANCE = 1.5
 """Logarithm of the odds that the best of several equal poses has by chance."""
 
+COINCIDING_RAD, COUNTED = np.radians(10), 0.1
+"""Of two poses the one at which the lines of sight are nearer by more than the angle has the smaller misfit anyhow:
+what a scanner sees wrongly at edges and slants, it sees wrongly in the same way there. So much of the gain counts."""
+
 UNDECIDED = 9.0
 """Logarithm of the odds up to which more is asked than surfels: all points of a scan, where the other is a model."""
+
+MOST_ADDED, MIN_AFTER_REFUSAL = 6, 0.9
+"""So many more candidates are brought to rest before a refusal, and only a pose as sure as that comes in its place."""
 
 NEAR = 6.0
 """Poses apart by less than so many of the least differences (``PoseJudge.differ``) are neighbours."""
@@ -89,7 +96,13 @@ class VerifiedPose:
 
 @one_blas_thread()
 def choose_pose(
-    source: Scan, target: Scan, poses: Floats, rng: np.random.Generator, tried: int = 10, sample: int = 4000
+    source: Scan,
+    target: Scan,
+    poses: Floats,
+    rng: np.random.Generator,
+    tried: int = 10,
+    sample: int = 4000,
+    insist: bool = True,
 ) -> VerifiedPose:
     """Refine the first ``tried`` of ``poses`` (K, 4, 4), take the best, and make sure that no rival is as good.
 
@@ -98,13 +111,38 @@ def choose_pose(
         target: the scan it is to meet.
         poses: T_target_source, likeliest first.
         sample: most surfels of each scan that are judged.
+        insist: before a refusal, all ``poses`` and those of flat faces are tried; only a sure one counts.
 
     Raises:
         DegenerateError: no pose brings the scans together; the surfaces contradict each other. AmbiguousError: a rival
             fits as well (the message names the motion that is free).
     """
     judge = PoseJudge(source, target, rng, sample)
-    candidates = judge.settled(judge.refined_all(poses[:tried]))
+    candidates = _first_candidates(judge, source, target, poses, tried, rng)
+    try:
+        return _chosen(judge, candidates)
+    except DegenerateError:
+        if not insist:
+            raise
+        others = [*judge.refined_all(face_poses(judge), far=True), *judge.refined_all(poses[tried:])]
+        added = judge.distinct([*candidates, *judge.settled(others, MOST_ADDED)])
+        if all(any(one is old for old in candidates) for one in added):
+            raise
+        try:
+            found = _chosen(judge, added)
+        except DegenerateError:
+            found = None
+        if found is None or found.confidence < MIN_AFTER_REFUSAL:
+            raise
+        return found
+
+
+def _first_candidates(
+    judge: PoseJudge, source: Scan, target: Scan, poses: Floats, tried: int, rng: np.random.Generator
+) -> list[Candidate]:
+    """Candidates at rest, best first; the longer nothing fits, the more kinds of poses are tried."""
+    first = judge.refined_all(poses[:tried])
+    candidates = judge.settled([*first, *judge.refined_all(unlike_poses(judge, poses[tried:], first))])
     if candidates:
         candidates = judge.distinct([*candidates, *_from_farther(judge, candidates[0])])
     if not candidates or judge.is_uncertain(candidates[0]):
@@ -116,7 +154,15 @@ def choose_pose(
         candidates = judge.distinct([*candidates, *judge.settled(judge.refined_all(face_poses(judge), far=True))])
     if candidates:
         candidates = judge.distinct([*candidates, *plate_poses(judge, candidates[0])])
-    candidates = _overlapping(judge, candidates)
+    return _overlapping(judge, candidates)
+
+
+def _chosen(judge: PoseJudge, candidates: list[Candidate]) -> VerifiedPose:
+    """The best of the candidates and of their rivals, with its confidence.
+
+    Raises:
+        DegenerateError, AmbiguousError: see ``choose_pose``.
+    """
     if not candidates:
         raise DegenerateError("no pose brings the two scans together; do they show the same part, with overlap?")
     for attempt in range(3):
@@ -193,7 +239,7 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
             f" {found.fraction_of_overlap:.0%} agrees: this may be chance;"
             " are they scans of the same part, from nearby views?" + (TWO_BODIES if unlike_chance else "")
         )
-    if unresisted.size:
+    if unresisted.size and not (judge.whole and _is_refuted_along(rivals, ratios)):
         raise AmbiguousError(_free_motion(judge, best, unresisted))
     if not rivals:
         return VerifiedPose(best.found, found, Agreement(0.0, 0.0), confidence)
@@ -209,7 +255,8 @@ def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) 
 
     What lies beside a scan's outline decides nothing; beside a whole model's there is no part, and in its holes, of
     which small ones are asked where the rest does not decide. Between poses near each other the residuals where the
-    surfaces meet in both tell more than the rest.
+    surfaces meet in both tell more than the rest; between others, the misfit tells less for the one at which the two
+    scanners look along nearly the same line.
     """
     one, sharp = judge.evidence(best.pose, None), judge.residuals(best.pose)
     sizes = np.abs(sharp[np.isfinite(sharp)])
@@ -225,10 +272,21 @@ def _log_ratios(judge: PoseJudge, best: Candidate, rivals: Sequence[Candidate]) 
             both = both[:, np.isfinite(both).all(axis=0)]
             costs = np.minimum((both / spread) ** 2, 9).sum(axis=1)
             ratio += 0.5 * (costs[1] - costs[0]) * judge.surfels / (2 * len(judge.source.points)) / ALIKE
+        elif judge.angle_of_sight(best.pose) < judge.angle_of_sight(rival.pose) - COINCIDING_RAD:
+            misfit = judge.surfels * (other.misfit_cost() - one.misfit_cost())
+            ratio -= (1 - COUNTED) * max(misfit, 0.0)
         if judge.whole and ratio < UNDECIDED:
             ratio += HARD * judge.off_model_at(rival.pose, best.pose)
         ratios.append(float(ratio))
     return ratios
+
+
+def _is_refuted_along(rivals: Sequence[Candidate], ratios: Sequence[float]) -> bool:
+    """Whether the poses all along a motion that the surface does not resist are clearly worse, as the ends of a bar on
+    its model make them; how well these hold it, the fine registration says. Between two scans an end may be where the
+    picture ends, and a part that hardly resists is too small in it."""
+    along = [ratio for rival, ratio in zip(rivals, ratios, strict=True) if rival.free]
+    return bool(along) and min(along) > UNDECIDED
 
 
 def _ambiguity(judge: PoseJudge, best: Candidate, rival: Candidate, ratio: float) -> str:
