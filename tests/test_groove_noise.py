@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from grindvision.cell import DepthCamera, JointSize, joint_scene, weld_scene
 from grindvision.errors import GrindvisionWarning
 from grindvision.vision.seam.groove import find_grooves
-from grindvision.vision.seam.groove_diagnostics import Edge, bends_on, edge_or_arc
+from grindvision.vision.seam.groove_diagnostics import Edge, edge_or_arc, judge_groove
 from grindvision.vision.seam.groove_profile import Corners, profile_height
 from grindvision.vision.seam.joint_names import FAMILIES
 from grindvision.vision.seam.seam_curve import Strip
@@ -88,7 +88,7 @@ def test_a_hollow_whose_sides_bend_on_is_no_groove(rng):
     beside = np.abs(places[:, 1]) - 45.0
     tubes = cloud(places, np.sqrt(60.0**2 - beside**2) - 60.0, rng)
     (groove,) = find_grooves(tubes).grooves
-    assert bends_on(groove, tubes)
+    assert judge_groove(groove, tubes).bends_on
     assert {seam.kind for seam in find_seams(tubes).seams} <= set(FAMILIES["fillet"])
     (asked,) = find_seams(tubes, FindSeamsOptions(joint="groove")).seams
     assert asked.groove is not None

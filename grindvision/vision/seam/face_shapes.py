@@ -101,9 +101,9 @@ def surroundings(fit: JointFit, surfels: Surfels, normals: Floats, towards: Floa
         like = vector_angle(normals[near], fit.faces.normal[side, station]) < PARALLEL_RAD
         tolerance = noise + 0.02 * np.abs(outward) + 0.05 * size
         goes_on.append(bool((behind & like & (np.abs(height) < tolerance)).sum() >= MIN_SURFELS))
-        leg = fit.legs_mm[1 - side, station]
-        above = behind & like & (np.abs(height - leg) < tolerance + 0.25 * leg + 0.5 * size)
-        wide = outward[above].size >= MIN_SURFELS and np.percentile(-outward[above], 90) > 2.5 * np.median(leg)
+        leg = float(np.median(fit.legs_mm[1 - side, fit.shown]))
+        above = behind & like & (np.abs(height - leg) < tolerance + 0.25 * leg + 0.5 * size) & (height > 2 * tolerance)
+        wide = outward[above].size >= MIN_SURFELS and np.percentile(-outward[above], 90) > 2.5 * leg
         parallel.append(bool(wide))
     ends = [towards is not None and _ends_there(fit, surfels, side, towards) for side in range(2)]
     return Surroundings((goes_on[0], goes_on[1]), (parallel[0], parallel[1]), (ends[0], ends[1]))

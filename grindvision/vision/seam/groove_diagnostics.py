@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.seam_curve import around
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
 
 Floats = NDArray[np.float64]
@@ -32,18 +34,62 @@ EDGE_PLACES, SIDE_STARTS, ARC_FRACTION = np.linspace(0.6, 1.3, 15), (0.0, 0.35),
 MIN_MISFIT_NOISE = 2.0
 #: An edge is told from an arc by so many places of a profile at least.
 MIN_PLACES = 7
-#: A wall is upright whose edge lies within this fraction of the width from the root.
-UPRIGHT = 0.15
-#: So many points of the cloud show the edges; multiples of the golden ratio are spread evenly and hit no period.
-PROFILE_POINTS, GOLDEN = 12_000, (np.sqrt(5) - 1) / 2
+#: A wall is upright whose edge lies within this fraction of the width, or so many stations, from the root: its slopes
+#: are not resolved.
+UPRIGHT, UPRIGHT_STEPS = 0.15, 1.5
+#: So many points of the cloud are looked at, and so many beside the groove show its edges: with more a camera's blur
+#: tells an edge from an arc. Multiples of the golden ratio are spread evenly and hit no period.
+CLOUD_POINTS, PROFILE_POINTS, GOLDEN = 12_000, 2500, (np.sqrt(5) - 1) / 2
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
 MIN_FILLING = 0.45
+#: A groove shorter than so many widths is doubtful.
+SHORT_WIDTHS = 3.0
 
 
-def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float) -> list[str]:
+class Edge(Enum):
+    """How a groove's wall goes over into the surface beside it: it ends at an edge, it bends on, the noise hides which
+    of both, or too little of it is seen."""
+
+    ENDS = "ends at an edge"
+    BENDS = "bends on"
+    UNTOLD = "hidden by noise"
+    UNSEEN = "not seen"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A groove with the fraction of its points on its walls and how its left and its right wall end."""
+
+    groove: DetectedGroove
+    on_walls: float
+    sides: tuple[Edge, Edge]
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether walls, edges and the surface on both sides are seen."""
+        seen = self.groove.edges_seen >= MIN_BOTH_SIDES and self.on_walls >= MIN_WALL_FRACTION
+        return seen and self.sides == (Edge.ENDS, Edge.ENDS)
+
+    @property
+    def bends_on(self) -> bool:
+        """Whether a wall is seen to bend on and on instead of ending at an edge: the hollow where two tubes meet.
+
+        Walls that nobody saw, as of a gap between two things, say nothing.
+        """
+        return self.on_walls >= MIN_WALL_FRACTION and Edge.BENDS in self.sides
+
+
+def judge_groove(groove: DetectedGroove, cloud: Floats) -> Judged:
+    """What the finite points (N, 3) of a cloud show of a groove whose members are counted among them."""
+    return Judged(groove, wall_fraction(groove, cloud), edges_of_sides(groove, cloud))
+
+
+def diagnose_groove(
+    groove: DetectedGroove, points: ArrayLike, spacing_mm: float, judged: Judged | None = None
+) -> list[str]:
     """Sentences without their subject that say why a groove of a cloud (N, 3) or (R, C, 3) is doubtful, and what to do.
 
-    None for a groove that is well seen.
+    None for a groove that is well seen. ``judged`` is what ``judge_groove`` told, if that is known.
     """
     findings = []
     if groove.edges_seen < MIN_BOTH_SIDES:
@@ -53,7 +99,7 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
         )
     width = float(np.median(groove.width_mm))
     cloud = np.asarray(points, dtype=float).reshape(-1, 3)
-    on_walls = wall_fraction(groove, cloud)
+    on_walls = wall_fraction(groove, cloud) if judged is None else judged.on_walls
     if on_walls < MIN_WALL_FRACTION:
         findings.append(
             f"({width:.3g} mm wide) may be a gap between two things: only {on_walls:.0%} of its points lie on its"
@@ -61,7 +107,8 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
             " cloud to the part"
         )
     else:
-        sides = edges_of_sides(groove, cloud[np.isfinite(cloud).all(axis=1)])
+        finite = cloud[np.isfinite(cloud).all(axis=1)] if judged is None else cloud
+        sides = edges_of_sides(groove, finite) if judged is None else judged.sides
         why = {
             Edge.UNTOLD: "the noise hides whether its sides end at edges or bend on",
             Edge.UNSEEN: "hardly any points show how it ends on one side",
@@ -72,6 +119,11 @@ def diagnose_groove(groove: DetectedGroove, points: ArrayLike, spacing_mm: float
                 f"({width:.3g} mm wide) may be the hollow between two round bodies: {' and '.join(why_not)}; see in the"
                 " picture that it is a groove, else scan from nearer, with its surroundings"
             )
+    if not findings and groove.length_mm < SHORT_WIDTHS * width:
+        findings.append(
+            f"is only {groove.length_mm:.3g} mm long at a width of {width:.3g} mm, which may be a dent or the end of"
+            " another thing: see in the picture that it is a groove, else crop the cloud to the part"
+        )
     filling = filling_of(groove, spacing_mm)
     if filling < MIN_FILLING:
         findings.append(
@@ -99,38 +151,19 @@ def wall_fraction(groove: DetectedGroove, cloud: Floats) -> float:
     return float(((below > WALL_DEPTHS[0]) & (below < WALL_DEPTHS[1])).mean())
 
 
-def has_edges(groove: DetectedGroove, cloud: Floats) -> bool:
-    """Whether the surface is seen to turn from both walls of a groove into a level surface at an edge."""
-    return edges_of_sides(groove, cloud) == (Edge.ENDS, Edge.ENDS)
-
-
-def bends_on(groove: DetectedGroove, cloud: Floats) -> bool:
-    """Whether a wall is seen to bend on and on instead of ending at an edge: the hollow where two tubes meet.
-
-    Walls that nobody saw, as of a gap between two things, say nothing.
-    """
-    return wall_fraction(groove, cloud) >= MIN_WALL_FRACTION and Edge.BENDS in edges_of_sides(groove, cloud)
-
-
-class Edge(Enum):
-    """How a groove's wall goes over into the surface beside it: it ends at an edge, it bends on, the noise hides which
-    of both, or too little of it is seen."""
-
-    ENDS = "ends at an edge"
-    BENDS = "bends on"
-    UNTOLD = "hidden by noise"
-    UNSEEN = "not seen"
-
-
 def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
     """Whether left and right wall turn into a level surface at an edge.
 
     Judged by the median cross-section in the cloud (N, 3); an upright wall, which is hardly seen, counts as one.
     """
-    points = cloud if len(cloud) < PROFILE_POINTS else cloud[_scattered(len(cloud), PROFILE_POINTS)]
     half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
-    away, station = cKDTree(groove.root).query(points, distance_upper_bound=1.2 * PROFILE_BINS[-1] * half)
-    near = np.isfinite(away)
+    reach = 1.2 * PROFILE_BINS[-1] * half
+    points = cloud[_scattered(len(cloud), 3 * CLOUD_POINTS)]
+    points = points[around(points, groove.root, reach)]
+    points = points[_scattered(len(points), CLOUD_POINTS)]
+    away, station = cKDTree(groove.root).query(points, distance_upper_bound=reach)
+    near = np.flatnonzero(np.isfinite(away))
+    near = near[_scattered(len(near), PROFILE_POINTS)]
     station, offset = station[near], points[near] - groove.root[station[near]]
     along = unit_vectors(np.gradient(groove.root, axis=0))
     across = unit_vectors(np.cross(groove.normals, along))
@@ -140,10 +173,10 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
     found: list[Edge] = []
     for edge in (groove.left, groove.right):
         side = ((edge - groove.root) * across).sum(axis=1)
-        if np.median(np.abs(side) / groove.width_mm) < UPRIGHT:
+        half = float(np.median(np.abs(side)))
+        if half < max(UPRIGHT * float(np.median(groove.width_mm)), UPRIGHT_STEPS * groove.step_mm):
             found.append(Edge.ENDS)
             continue
-        half = float(np.median(np.abs(side)))
         profile, noise = _median_profile(place / side[station], height)
         slopes = _slopes_deg(profile, half)
         turn, bend = slopes[1] - slopes[2], slopes[0] - slopes[1]
@@ -156,7 +189,9 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
 
 
 def _scattered(count: int, some: int) -> NDArray[np.int64]:
-    """Numbers (some,) of rows out of ``count`` by the golden ratio: every n-th would leave lines of a scan out."""
+    """At most ``some`` numbers of ``count`` rows, by the golden ratio: every n-th would leave lines of a scan out."""
+    if count <= some:
+        return np.arange(count)
     return (np.arange(some) * GOLDEN % 1.0 * count).astype(np.int64)
 
 

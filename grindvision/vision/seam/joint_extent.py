@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
+from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, fit_faces, intersections, root_normals
 from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
 
@@ -17,6 +18,11 @@ Floats = NDArray[np.float64]
 CLOSE = 0.4
 #: Leg lengths end where less than this fraction of the usual number of points lies on the face.
 LEG_COVERAGE = 0.3
+#: A camera measures no surface that it sees flatter than this (83 deg of incidence), the cosine; what seems to be one
+#: are pixels mixed from a near and a far body, which lie along the rays.
+MIN_FACING = 0.12
+#: A face seen that flat holds less than this fraction of the other one's points.
+THIN = 0.5
 
 
 def leg_lengths(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, scale: Scale) -> Floats:
@@ -81,3 +87,16 @@ def sharpness(points: Floats, curve: SeamCurve, faces: Faces, dihedral_rad: floa
     first, second = root_normals(faces, slopes)
     turn = np.arccos(np.clip(np.einsum("si,si->s", first, second), -1, 1))
     return float(np.median(turn)) / max(dihedral_rad, 1e-6)
+
+
+def facing(stations: Floats, faces: Floats, sides: FaceFit, towards: Floats | None) -> Floats:
+    """Cosine (S,) of the angle at which the flatter seen of two faces with normals (2, S, 3) looks ``towards`` (3,).
+
+    It is 1 where nobody knows the scanner's place, and for a face as dense as the other one: a scan merged from several
+    views shows such faces, while one camera puts the fewer points on a face the flatter it sees it.
+    """
+    if towards is None:
+        return np.ones(len(stations))
+    cosines = np.einsum("ksi,si->ks", faces, unit_vectors(towards - stations))
+    points = gaussian_filter1d(sides.coverage, 2.0, axis=1)
+    return np.asarray(np.where(points < THIN * points[::-1], cosines, 1.0).min(axis=0))

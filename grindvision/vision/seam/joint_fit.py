@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.records import by_content
 from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, faces_beside, fit_faces, intersections, root_normals
-from grindvision.vision.seam.joint_extent import leg_lengths, rounding_mm, sharpness
-from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, closed_runs, extended
+from grindvision.vision.seam.joint_extent import MIN_FACING, facing, leg_lengths, rounding_mm, sharpness
+from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
 
 Floats = NDArray[np.float64]
@@ -43,8 +44,9 @@ OVERLAP_CELLS = 4.0
 JOIN_CELLS = 2.0
 #: Before it is smoothed a line goes on by so many of the smoother's lengths, with the bend over so many at its end.
 CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
-#: Fraction of the usual number of points near the seam below which a station does not show a face.
-MIN_COVERAGE = 0.15
+#: Fractions of the usual number of points near the seam below which a station, and with so many to each side, does not
+#: show a face: pixels mixed behind its end are few, and a single one makes no station.
+MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.3, 2.0
 
 
 @by_content
@@ -57,7 +59,8 @@ class JointFit:
     ``dihedral_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
     seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
-    already: 1 for two faces, less for a surface that bends.
+    already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of the angle at which the
+    flatter seen face is seen, see ``facing``.
     """
 
     curve: SeamCurve
@@ -73,6 +76,7 @@ class JointFit:
     bend_per_mm: Floats
     members: Integers
     sharpness: float
+    facing: Floats
     closed: bool = False
 
     @property
@@ -83,7 +87,12 @@ class JointFit:
 
 
 def fit_joint(
-    points: Floats, path: Floats, normals: tuple[Floats, Floats], concave: bool, scale: Scale
+    points: Floats,
+    path: Floats,
+    normals: tuple[Floats, Floats],
+    concave: bool,
+    scale: Scale,
+    towards: Floats | None = None,
 ) -> JointFit | None:
     """Fit the faces on both sides of a rough path; None where no two faces meet along most of it.
 
@@ -93,22 +102,29 @@ def fit_joint(
         normals: of the two faces along the path, (M, 3) each, facing the scanner.
         concave: whether the corner is concave, seen from the scanner.
         scale: lengths of the scan.
+        towards: where the scanner stands (3,), if that is known: a face ends where it turns away from there.
     """
-    fit = _fit_along(points, path, normals, concave, scale, _is_ring(path, scale))
+    fit = _fit_along(points, path, normals, (concave, _is_ring(path, scale)), scale, towards)
     if fit is None or fit.closed:
         return fit
     turns = _one_round(fit.root, RING_CELLS * scale.cell)
     if turns is None:
         return fit
     sides = (fit.faces.normal[0, :turns], fit.faces.normal[1, :turns])
-    ring = _fit_along(points, fit.root[:turns], sides, concave, scale, True)
+    ring = _fit_along(points, fit.root[:turns], sides, (concave, True), scale, towards)
     return ring if ring is not None and ring.closed else fit
 
 
 def _fit_along(
-    points: Floats, path: Floats, normals: tuple[Floats, Floats], concave: bool, scale: Scale, closed: bool
+    points: Floats,
+    path: Floats,
+    normals: tuple[Floats, Floats],
+    way: tuple[bool, bool],
+    scale: Scale,
+    towards: Floats | None,
 ) -> JointFit | None:
-    """As ``fit_joint``, for a path that is known to be a ring or not."""
+    """As ``fit_joint``; ``way``: is the corner concave, is the path a ring."""
+    concave, closed = way
     step = max(1.5 * scale.spacing, scale.cell / 2)
     bisector = unit_vectors(normals[0] + normals[1])
     count = _overlap(path, scale) if closed else 0
@@ -122,7 +138,7 @@ def _fit_along(
     cloud, members = points, np.arange(len(points))
     for number in range(MAX_PASSES):
         if number % NEAR_PASSES == 0:
-            members = _around(cloud, curve, NEAR_CELLS * scale.cell)
+            members = around(cloud, curve.stations, NEAR_CELLS * scale.cell)
             points = cloud[members]
         if 0 < number < MAX_PASSES - 2 and growing and not closed:
             curve, faces = prolonged(curve, faces, 3 * scale.cell)
@@ -131,6 +147,7 @@ def _fit_along(
             return None
         displacement, slopes = intersections(curve, faces, fitted)
         shown = shown_stations(fitted, displacement, scale) & turned_stations(faces, slopes, fitted, concave)
+        shown &= facing(curve.stations, root_normals(faces, slopes), fitted, towards) > MIN_FACING
         if number == 1 and not _hopeful(faces, slopes, fitted, shown):
             return None
         run = _main_run(shown, int(12 * scale.cell / step))
@@ -147,7 +164,7 @@ def _fit_along(
         curve, faces, fitted = _cut(curve, faces, fitted, here)
         displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
-            result = _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale)
+            result = _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale, towards)
             return replace(result, members=members[result.members])
         weight = np.where(shown, 1.0, 0.0)
         stiffness = (GROWING_CELLS if growing else 1.0) * scale.cell
@@ -159,13 +176,6 @@ def _fit_along(
         place = cKDTree(stations).query(curve.stations)[1]
         faces = faces_beside(curve, turned[0][place], turned[1][place], concave)
     return None
-
-
-def _around(points: Floats, curve: SeamCurve, reach_mm: float) -> Integers:
-    """Points (K,) in the box around a curve, ``reach_mm`` larger to all sides."""
-    low, high = curve.stations.min(axis=0) - reach_mm, curve.stations.max(axis=0) + reach_mm
-    near = np.flatnonzero((points[:, 0] >= low[0]) & (points[:, 0] <= high[0]))
-    return near[((points[near, 1:] >= low[1:]) & (points[near, 1:] <= high[1:])).all(axis=1)]
 
 
 def _hopeful(faces: Faces, slopes: Floats, sides: FaceFit, shown: Flags) -> bool:
@@ -185,7 +195,9 @@ def shown_stations(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
     for side in range(2):
         counts = sides.coverage[side]
         usual = np.median(counts[counts > 0]) if (counts > 0).any() else 1.0
-        good &= closed_runs(counts > MIN_COVERAGE * usual, reach) & (sides.purity[side] > 0.5)
+        around_it = gaussian_filter1d(counts, COVERAGE_STATIONS, mode="nearest")
+        there = (counts > MIN_COVERAGE * usual) & (around_it > MIN_COVERAGE_AROUND * usual)
+        good &= closed_runs(there, reach) & (sides.purity[side] > 0.5)
     return good & (np.linalg.norm(displacement, axis=1) < 2.0 * scale.cell)
 
 
@@ -204,6 +216,7 @@ def _result(
     sides: FaceFit,
     fitted: tuple[Floats, Floats, Flags, bool],
     scale: Scale,
+    towards: Floats | None,
 ) -> JointFit:
     displacement, slopes, shown, closed = fitted
     normals = root_normals(faces, slopes)
@@ -221,16 +234,15 @@ def _result(
     root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
-    facing = np.stack([smooth_along(normals[k], even, 2 * scale.cell, curve.step_mm) for k in (0, 1)])
-    facing = unit_vectors(facing)
-    turned = Faces(unit_vectors(faces.outward + slopes[..., None] * faces.normal), facing)
+    out = unit_vectors(np.stack([smooth_along(normals[k], even, 2 * scale.cell, curve.step_mm) for k in (0, 1)]))
+    turned = Faces(unit_vectors(faces.outward + slopes[..., None] * faces.normal), out)
     moved = replace(curve, stations=root)
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     result = JointFit(
-        moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(facing[0] + facing[1]), turned,
+        moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
         turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
-        np.unique(np.concatenate(sides.inside)), sharp_fraction, closed,
+        np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards), closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
@@ -322,6 +334,7 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
         sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
         faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
         dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
+        facing=fit.facing[here],
     )  # fmt: skip
 
 

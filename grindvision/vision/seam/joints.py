@@ -39,7 +39,8 @@ class Seam:
     ``gap_mm`` and ``step_mm`` (S,) are the gap and the misalignment (hi-lo, or the step of a lap) with their standard
     deviations, zero where the kind has none. ``members`` (K,) are the points that belong to it. ``deviations`` is by
     how many standard deviations the faces of a corner turn, judged over its whole length. ``doubts`` are sentences
-    without their subject that say what speaks against the kind or the line.
+    without their subject that say what speaks against the kind or the line. ``glancing`` says that one face is seen so
+    flat that it may be none.
     """
 
     kind: str
@@ -62,6 +63,7 @@ class Seam:
     groove: DetectedGroove | None = None
     deviations: float = np.inf
     doubts: tuple[str, ...] = ()
+    glancing: bool = False
 
     @property
     def length_mm(self) -> float:

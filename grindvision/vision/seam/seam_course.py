@@ -16,6 +16,7 @@ from grindvision.geometry import vector_angle
 from grindvision.geometry.graphs import edge_graph
 from grindvision.vision.seam.face_fit import Scale, fit_faces, intersections, root_normals
 from grindvision.vision.seam.face_shapes import CYLINDER, FREE_FORM, FaceShape, face_surfels
+from grindvision.vision.seam.joint_extent import MIN_FACING, facing
 from grindvision.vision.seam.joint_fit import JointFit, prolonged, shown_stations, turned_stations
 from grindvision.vision.surface.surfels import Surfels
 
@@ -50,8 +51,8 @@ def left_out_mm(
     size = surfels.grid.size_mm
     tolerance = ON_NOISE * float(np.median(surfels.noise_mm)) + ON_CELLS * size
     heights, on = [], []
-    for shape, (points, facing) in zip(shapes, face_surfels(fit, surfels, normals), strict=True):
-        height, out = _height(shape, points, facing, surfels.points)
+    for shape, (points, outward) in zip(shapes, face_surfels(fit, surfels, normals), strict=True):
+        height, out = _height(shape, points, outward, surfels.points)
         heights.append(height)
         on.append((np.abs(height) < tolerance) & (vector_angle(normals, out) < ON_RAD))
     near = [on[k] & (np.abs(heights[1 - k]) < MEETING_CELLS * size) & ~on[1 - k] for k in (0, 1)]
@@ -72,11 +73,15 @@ def _along(places: Floats, others: list[Floats], reach: float) -> Flags:
     return np.asarray(cKDTree(np.concatenate(others)).query(places)[0] < reach)
 
 
-def beyond_ends_mm(points: Floats, fit: JointFit, concave: bool, scale: Scale, others: list[Floats]) -> float:
+def beyond_ends_mm(
+    points: Floats, fit: JointFit, way: tuple[bool, Floats | None], scale: Scale, others: list[Floats]
+) -> float:
     """Length, mm, over which the points (N, 3) show the same corner in line behind the ends of its root.
 
     Holes in the scan end a root line; what lies behind them may be its continuation, if none of the ``others`` is.
+    ``way``: is the corner concave, and where the scanner stands (3,), if that is known.
     """
+    concave, towards = way
     if fit.closed:
         return 0.0
     curve, faces = prolonged(fit.curve, fit.faces, BEYOND_CELLS * scale.cell)
@@ -85,7 +90,9 @@ def beyond_ends_mm(points: Floats, fit: JointFit, concave: bool, scale: Scale, o
         return 0.0
     displacement, slopes = intersections(curve, faces, sides)
     shown = shown_stations(sides, displacement, scale) & turned_stations(faces, slopes, sides, concave)
-    turn = vector_angle(*root_normals(faces, slopes))
+    normals = root_normals(faces, slopes)
+    shown &= facing(curve.stations, normals, sides, towards) > MIN_FACING
+    turn = vector_angle(*normals)
     away, place = cKDTree(fit.root).query(curve.stations)
     usual = median_filter(fit.dihedral_rad, size=END_STATIONS, mode="nearest")[place]
     shown &= np.abs(turn - usual) < np.maximum(ALIKE_FRACTION * usual, ALIKE_RAD)

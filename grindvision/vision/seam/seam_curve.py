@@ -213,3 +213,12 @@ def _curve_coordinates(
         place[kept, 0], place[kept, 1], place[kept, 2] = k * step + ahead, side, rise
         kept += 1
     return index[:kept].copy(), place[:kept].copy()
+
+
+def around(points: Floats, line: Floats, reach_mm: float) -> Integers:
+    """Points (K,) of a cloud (N, 3) in the box around a line (S, 3), ``reach_mm`` larger to all sides."""
+    low, high = line.min(axis=0) - reach_mm, line.max(axis=0) + reach_mm
+    inside = np.ones(len(points), dtype=bool)
+    for axis in range(3):
+        inside &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
+    return np.flatnonzero(inside)

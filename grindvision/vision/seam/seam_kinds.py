@@ -24,7 +24,7 @@ from grindvision.vision.seam.joint_names import (
     V_GROOVE,
 )
 from grindvision.vision.seam.joints import Interruption, Seam
-from grindvision.vision.seam.step_fit import EdgeFit
+from grindvision.vision.seam.step_fit import MIN_WALL_POINTS, EdgeFit
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -55,6 +55,9 @@ MIN_STEP_DEVIATIONS = 8.0
 MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD, MAX_FALL_RAD = 4.0, np.radians(10.0), np.radians(25.0)
 #: The place of an edge at which a surface ends is known within this fraction of a spacing; one that is not is no edge.
 MAX_EDGE_SIGMA_SPACINGS = 0.5
+#: Cameras put the edge of a nearer body some pixels off, alike all along it: standard deviations in spacings where the
+#: wall below the edge is seen and where it is not.
+EDGE_BIAS_SPACINGS = 0.35, 0.7
 #: A gap of so many spacings, as wide as a groove must be, shows less than this fraction of its points on walls. Those
 #: of a V hold 60 %.
 GROOVE_SPACINGS, MAX_ON_WALLS = 4.0, 0.3
@@ -62,8 +65,11 @@ GROOVE_SPACINGS, MAX_ON_WALLS = 4.0, 0.3
 MIN_GAP_SEEN, WIDE_GAP_SPACINGS = 0.3, 2.2
 #: A corner whose faces go on meeting for this fraction of its whole length is said to be followed in part.
 MIN_MISSED = 0.15
+#: A concave corner that shows less than this fraction of its turn close to the root is rounded; a sharp one that a
+#: camera blurs shows 0.84. A face seen at more than 75 deg of incidence may be pixels mixed from two bodies.
+MIN_SHARP, MIN_SURE_FACING = 0.75, 0.26
 #: A groove is U-shaped where its root is this much of its width, bevelled where the root lies so near to one edge.
-U_FLOOR, BEVEL_SKEW = 0.3, 0.22
+U_FLOOR, BEVEL_SKEW = 0.3, 0.25
 
 
 def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
@@ -134,7 +140,8 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         _interruptions(fit.shown, fit.curve.step_mm),
         fit.closed,
         deviations=turn_deviations(fit, surfels.grid.size_mm),
-        doubts=_undecided(kind, shapes),
+        doubts=_undecided(kind, shapes) + _unlike(fit, concave),
+        glancing=_facing(fit) < MIN_SURE_FACING,
     )
 
 
@@ -147,6 +154,27 @@ def _undecided(kind: str, shapes: tuple[FaceShape, FaceShape]) -> tuple[str, ...
         f"is undecided between {kind} and {SADDLE}: one face bends away like a tube, and the noise hides whether the"
         " other one does; scan from nearer, or ask for the kind with --joint",
     )
+
+
+def _unlike(fit: JointFit, concave: bool) -> tuple[str, ...]:
+    """What speaks against a corner of two bodies: that it is rounded, that a face is seen at a glancing angle."""
+    doubts = []
+    if concave and fit.sharpness < MIN_SHARP:
+        doubts.append(
+            f"is rounded: close to its root the faces turn by {fit.sharpness:.0%} of their angle only, as at a bend of"
+            " one sheet, a fillet or a bead that is there already; the root is where they would meet if they went on"
+        )
+    if _facing(fit) < MIN_SURE_FACING:
+        glance = np.degrees(np.arccos(max(_facing(fit), 0.0)))
+        doubts.append(
+            f"has a face that is seen at {glance:.0f} deg from straight on: pixels mixed at the edge of a nearer body"
+            " look like that; scan from where both faces are seen"
+        )
+    return tuple(doubts)
+
+
+def _facing(fit: JointFit) -> float:
+    return float(np.median(fit.facing[fit.shown]))
 
 
 def cut_short(missed_mm: float, fit: JointFit) -> tuple[str, ...]:
@@ -199,6 +227,7 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
     if fit.noise_mm > 2.5 * scale.noise + 0.08 * scale.cell:
         return None
     level = fit.noise_mm / np.sqrt(max(len(fit.members) / max(len(fit.root), 1), 1.0))
+    sigma = fit.sigma_mm
     if gap:
         seen = float((fit.between > 0)[shown].mean())
         wide = width > WIDE_GAP_SPACINGS * scale.spacing
@@ -219,13 +248,15 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
         if step < MIN_STEP_DEVIATIONS * level or step < max(1.2 * scale.spacing, 4 * fit.noise_mm):
             return None
         kind = LAP
+        wall_seen = fit.between[shown].mean() > MIN_WALL_POINTS
+        sigma = np.hypot(sigma, EDGE_BIAS_SPACINGS[0 if wall_seen else 1] * scale.spacing)
         evidence = f"one surface ends {step:.2f} +- {level:.2g} mm above another that is parallel to it"
         normals = unit_vectors(fit.normals[1] + fit.way)
     return Seam(
         kind,
         evidence,
         fit.root,
-        fit.sigma_mm,
+        sigma,
         normals,
         fit.normals,
         np.full(len(fit.root), 180.0 if gap else 90.0),
@@ -253,13 +284,9 @@ def groove_seam(groove: DetectedGroove) -> Seam:
         walls.append(out * np.where((out * groove.normals).sum(axis=1) < 0, -1.0, 1.0)[:, None])
         halves.append(np.degrees(vector_angle(way, groove.normals)))
     opening = halves[0] + halves[1]
-    across = unit_vectors(np.cross(groove.normals, along))
-    span = np.abs(((groove.right - groove.left) * across).sum(axis=1))
-    place = np.abs(((groove.root - groove.left) * across).sum(axis=1)) / np.maximum(span, 1e-9)
-    skew = float(np.median(place))
-    floor = groove.floor_fraction
-    if min(skew, 1 - skew) < BEVEL_SKEW:
-        kind, why = BEVEL, f"one wall is upright: the root lies {min(skew, 1 - skew):.0%} of the width from its edge"
+    skew, floor = skew_of(groove), groove.floor_fraction
+    if skew < BEVEL_SKEW:
+        kind, why = BEVEL, f"one wall is upright: the root lies {skew:.0%} of the width from its edge"
     elif floor > U_FLOOR:
         kind, why = U_GROOVE, f"its floor or rounding takes {floor:.0%} of the width"
     else:
@@ -272,6 +299,15 @@ def groove_seam(groove: DetectedGroove) -> Seam:
         float(np.degrees(np.median(groove.root_deviation_mm / np.maximum(legs.min(axis=0), 1e-9)))), legs,
         np.stack([groove.left, groove.right]), zero, 0.0, zero, 0.0, groove.members, (), groove.closed, groove,
     )  # fmt: skip
+
+
+def skew_of(groove: DetectedGroove) -> float:
+    """How far the root lies from the nearer edge across the seam, as a fraction of the width; 0.5 in the middle."""
+    along = np.gradient(groove.root, axis=0)
+    across = unit_vectors(np.cross(groove.normals, along))
+    span = np.abs(((groove.right - groove.left) * across).sum(axis=1))
+    place = float(np.median(np.abs(((groove.root - groove.left) * across).sum(axis=1)) / np.maximum(span, 1e-9)))
+    return min(place, 1 - place)
 
 
 def _straight(fit: JointFit) -> bool:

@@ -21,20 +21,19 @@ from grindvision.records import by_content
 from grindvision.vision.seam.gap_lines import MIN_SPACINGS
 from grindvision.vision.seam.groove import GrooveDetection, SeenCloud, grooves_of, seen_cloud
 from grindvision.vision.seam.groove_diagnostics import (
-    MIN_BOTH_SIDES,
     MIN_FILLING,
     MIN_WALL_FRACTION,
     Edge,
-    bends_on,
-    edges_of_sides,
+    Judged,
     filling_of,
-    has_edges,
+    judge_groove,
     wall_fraction,
 )
 from grindvision.vision.seam.groove_lines import DetectedGroove
+from grindvision.vision.seam.groove_noise import stands_out
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
-from grindvision.vision.seam.seam_kinds import groove_seam
+from grindvision.vision.seam.seam_kinds import BEVEL_SKEW, groove_seam, skew_of
 from grindvision.vision.seam.section_shape import section_shape, with_shape
 from grindvision.vision.seam.surface_seams import CELL_SPACINGS, runs_along, surface_seams
 from grindvision.words import counted
@@ -45,6 +44,12 @@ Flags = NDArray[np.bool_]
 
 #: A valley with an upright wall is a groove if it is so many widths, and this fraction of the diagonal, long.
 BEVEL_ASPECT, BEVEL_FRACTION = 6.0, 0.15
+#: A groove is told from a gap between upright faces, which a camera blurs, if it is so many spacings wide.
+TOLD_SPACINGS = 6.5
+#: The root below an upright edge is known as well as a camera places such an edge, in spacings.
+UPRIGHT_SIGMA_SPACINGS = 0.7
+#: A groove whose root lies nearer than this fraction of the width to an edge may have an upright wall there.
+SKEWED = 0.3
 #: Seams shorter than this fraction of the longest are named with the less certain ones.
 SHORT = 0.2
 #: So are corners whose turn stands out by fewer standard deviations than this and than this fraction of the surest's.
@@ -76,7 +81,7 @@ class SeamDetection:
     ``seam_id`` in the cloud's shape is the number of each point's seam, -1 outside. ``weaker`` are seams of less
     certain classes: steps and gaps where there are corners or grooves, outside corners where there is anything else.
     ``view_assumed`` says that nothing told from which side the scan was taken. ``grooves`` is what ``find_grooves``
-    found, if it found any.
+    found, if it found any; ``judged`` says of each groove among the seams what is seen of its walls and edges.
     """
 
     seams: tuple[Seam, ...]
@@ -85,6 +90,7 @@ class SeamDetection:
     weaker: tuple[Seam, ...] = ()
     view_assumed: bool = False
     grooves: GrooveDetection | None = None
+    judged: tuple[Judged, ...] = ()
 
     @property
     def labels(self) -> Flags:
@@ -117,39 +123,55 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
     view = seen_cloud(points, viewpoint_mm)
     cloud, valid, sides, spacing = view.points, view.valid, view.sides, view.spacing_mm
     grooves: GrooveDetection | None = None
-    sure: list[DetectedGroove] = []
-    doubtful: list[DetectedGroove] = []
+    sure: list[Judged] = []
+    doubtful: list[Judged] = []
     if set(wanted) & set(FAMILIES["groove"]):
         grooves = _grooves(view, width_mm, False)
         sure, doubtful = _sorted_grooves(grooves, cloud, valid)
     if BEVEL in wanted and not sure:
         bevelled = _reshaped(_grooves(view, width_mm, True), cloud, valid, spacing)
-        sure = _sorted_grooves(bevelled, cloud, valid)[0]
+        sure, others_doubtful = _sorted_grooves(bevelled, cloud, valid)
+        doubtful = [one for one in doubtful if not _is_known(one, sure)]
+        doubtful += [one for one in others_doubtful if not sure and not _is_known(one, doubtful)]
         grooves = bevelled if sure else grooves
-    groove_seams = [groove_seam(groove) for groove in sure]
+    elif BEVEL in wanted:
+        sure = [_upright(one, cloud, spacing) for one in sure]
+    groove_seams = [groove_seam(one.groove) for one in sure]
     others: list[Seam] = []
     if set(wanted) - set(FAMILIES["groove"]):
         for facing in _facings(sides, viewpoint_mm):
             others = surface_seams(cloud, sides[0][0], facing, spacing, groove_seams, wanted)
             if others:
                 break
-    hollows = [groove for groove in doubtful if joint != "groove" and bends_on(groove, cloud)]
-    doubtful = [groove for groove in doubtful if groove not in hollows and not _is_corner(groove, others, cloud)]
-    scanty = [groove for groove in doubtful if _is_scanty(groove, cloud, spacing)]
-    groove_seams += [groove_seam(groove) for groove in doubtful if groove not in scanty]
+    hollows = [one.groove for one in doubtful if joint != "groove" and one.bends_on]
+    doubtful = [one for one in doubtful if one.groove not in hollows and not _is_corner(one, others, spacing)]
+    scanty = [one.groove for one in doubtful if _is_scanty(one, spacing)]
+    groove_seams += [groove_seam(one.groove) for one in doubtful if one.groove not in scanty]
     others = [seam for seam in others if not runs_along(seam.root, groove_seams)]
     classes = _classes([*groove_seams, *others], [groove_seam(groove) for groove in scanty], wanted)
     if not classes:
         raise NoGrooveError(_nothing(len(cloud), spacing, joint, [*groove_seams, *others], hollows))
     at = np.flatnonzero(valid)
     rank = np.full(len(valid), -1)
-    seams = [replace(seam, members=at[seam.members]) for seam in classes[0]]
+    judged = [one for seam in classes[0] for one in (*sure, *doubtful) if one.groove is seam.groove]
+    seams = [_among(seam, at) for seam in classes[0]]
     for number, seam in reversed(list(enumerate(seams))):
         rank[seam.members] = number
     weaker = tuple(seam for group in classes[1:] for seam in group)
     return SeamDetection(
-        tuple(seams), rank.reshape(view.shape), spacing, weaker, len(sides) > 1 and bool(others), grooves
+        tuple(seams), rank.reshape(view.shape), spacing, weaker, len(sides) > 1 and bool(others), grooves, tuple(judged)
     )
+
+
+def _is_known(one: Judged, others: list[Judged]) -> bool:
+    """Whether a groove runs along one of the others."""
+    return runs_along(one.groove.root, [groove_seam(other.groove) for other in others])
+
+
+def _among(seam: Seam, at: Integers) -> Seam:
+    """A seam whose members are numbers ``at`` (K,) of the whole cloud instead of its finite points'."""
+    groove = seam.groove if seam.groove is None else replace(seam.groove, members=at[seam.groove.members])
+    return replace(seam, members=at[seam.members], groove=groove)
 
 
 def _grooves(view: SeenCloud, width_mm: float | None, bevel: bool) -> GrooveDetection | None:
@@ -159,17 +181,20 @@ def _grooves(view: SeenCloud, width_mm: float | None, bevel: bool) -> GrooveDete
         return None
 
 
-def _sorted_grooves(
-    found: GrooveDetection | None, cloud: Floats, valid: Flags
-) -> tuple[list[DetectedGroove], list[DetectedGroove]]:
-    """The grooves that are sure and those that are doubtful, their members counted among the finite points."""
-    sure: list[DetectedGroove] = []
-    doubtful: list[DetectedGroove] = []
+def _sorted_grooves(found: GrooveDetection | None, cloud: Floats, valid: Flags) -> tuple[list[Judged], list[Judged]]:
+    """The grooves that are sure and those that are doubtful, their members counted among the finite points.
+
+    What does not stand out of the noise is neither.
+    """
+    sure: list[Judged] = []
+    doubtful: list[Judged] = []
     number = np.cumsum(valid) - 1
-    for groove in found.grooves if found is not None else ():
-        mine = replace(groove, members=number[groove.members])
-        is_sure = groove.edges_seen >= MIN_BOTH_SIDES and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION
-        (sure if is_sure and has_edges(mine, cloud) else doubtful).append(mine)
+    if found is None:
+        return sure, doubtful
+    for groove in found.grooves:
+        one = judge_groove(replace(groove, members=number[groove.members]), cloud)
+        if stands_out(one, cloud, found.spacing_mm):
+            (sure if one.is_sure else doubtful).append(one)
     return sure, doubtful
 
 
@@ -180,12 +205,31 @@ def _reshaped(found: GrooveDetection | None, cloud: Floats, valid: Flags, spacin
     number = np.cumsum(valid) - 1
     kept = []
     for groove in found.grooves:
-        least = max(BEVEL_ASPECT * float(np.median(groove.width_mm)), BEVEL_FRACTION * diagonal_mm(cloud))
+        width = float(np.median(groove.width_mm))
+        least = max(BEVEL_ASPECT * width, BEVEL_FRACTION * diagonal_mm(cloud))
         mine = replace(groove, members=number[groove.members])
-        if groove.length_mm > least and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION:
+        resolved = groove.length_mm > least and width > TOLD_SPACINGS * spacing
+        if resolved and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION:
             shape = section_shape(groove, cloud, spacing)
-            kept.append(groove if shape is None else with_shape(groove, shape))
+            kept.append(_with_sigma(groove if shape is None else with_shape(groove, shape), spacing))
     return replace(found, grooves=tuple(kept))
+
+
+def _upright(one: Judged, cloud: Floats, spacing: float) -> Judged:
+    """A sure groove whose root lies near one edge, with an upright wall there if all points together show one."""
+    if skew_of(one.groove) > SKEWED:
+        return one
+    shape = section_shape(one.groove, cloud, spacing)
+    if shape is None or skew_of(moved := with_shape(one.groove, shape)) > BEVEL_SKEW:
+        return one
+    return replace(one, groove=_with_sigma(moved, spacing))
+
+
+def _with_sigma(groove: DetectedGroove, spacing: float) -> DetectedGroove:
+    """A groove whose root, if it lies below an upright edge, is no surer than the place of that edge."""
+    if skew_of(groove) > BEVEL_SKEW:
+        return groove
+    return replace(groove, root_deviation_mm=np.hypot(groove.root_deviation_mm, UPRIGHT_SIGMA_SPACINGS * spacing))
 
 
 def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
@@ -196,13 +240,12 @@ def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Itera
     yield None
 
 
-def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> bool:
+def _is_corner(one: Judged, others: list[Seam], spacing: float) -> bool:
     """Whether a doubtful groove is better explained by one of the other seams, which runs within it.
 
     One whose edges are not seen to turn on either side is explained by any corner of the scene.
     """
-    walls_seen = wall_fraction(groove, cloud) >= MIN_WALL_FRACTION
-    edges = edges_of_sides(groove, cloud)
+    groove, edges, walls_seen = one.groove, one.sides, one.on_walls >= MIN_WALL_FRACTION
     if (
         walls_seen
         and not {Edge.ENDS, Edge.UNTOLD} & set(edges)
@@ -218,25 +261,26 @@ def _is_corner(groove: DetectedGroove, others: list[Seam], cloud: Floats) -> boo
         longer = seam.kind in FAMILIES["tube"] or np.median(seam.legs_mm, axis=1).max() > 1.3 * np.hypot(
             width / 2, depth
         )
-        if meets and ((unsure and longer) or seam.kind == BUTT):
+        if meets and (unsure and longer if seam.kind != BUTT else width < TOLD_SPACINGS * spacing or not walls_seen):
             return True
     return False
 
 
-def _is_scanty(groove: DetectedGroove, cloud: Floats, spacing: float) -> bool:
+def _is_scanty(one: Judged, spacing: float) -> bool:
     """Whether hardly more than one side of a groove is seen: any seam whose faces are both seen is surer."""
-    return Edge.UNSEEN in edges_of_sides(groove, cloud) and filling_of(groove, spacing) < MIN_FILLING
+    return Edge.UNSEEN in one.sides and filling_of(one.groove, spacing) < MIN_FILLING
 
 
 def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
-    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, then outside corners.
+    """Seams of the kinds wanted: grooves and concave corners, then steps, gaps and glancing ones, then outside corners.
 
     Grooves of which little is seen (``scanty``) count as the second where there are others of the first.
     """
     groups: list[list[Seam]] = [[], [], []]
     for seam in seams:
         if seam.kind in wanted:
-            groups[2 if seam.kind == OUTSIDE else 1 if seam.kind in (LAP, BUTT) else 0].append(seam)
+            unsure = seam.kind in (LAP, BUTT) or seam.glancing
+            groups[2 if seam.kind == OUTSIDE else 1 if unsure else 0].append(seam)
     groups[1 if groups[0] else 0] += [seam for seam in scanty if seam.kind in wanted]
     groups[0] = [s for s in groups[0] if s.groove] + sorted(
         (s for s in groups[0] if not s.groove), key=lambda seam: -seam.length_mm
@@ -253,7 +297,7 @@ def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> 
         groups[1] += weak
         groups[0] = [seam for seam in groups[0] if seam not in weak]
     for group in groups[1:]:
-        group.sort(key=lambda seam: (seam.kind != BUTT, -seam.length_mm))
+        group.sort(key=lambda seam: (seam.glancing, seam.kind != BUTT, -seam.length_mm))
     return [group for group in groups if group]
 
 

@@ -77,11 +77,16 @@ def surface_seams(
         for kind in kinds:
             found += _corners(cloud, scene, pairs.of(kind), scale, [*known, *found], (kind == CONCAVE, factor > 1))
         found += _steps(cloud, pairs.of(STEP), scale, [*known, *found])
-        if known or sum(seam.length_mm for seam in found if seam.kind not in (LAP, OUTSIDE)) > ENOUGH * diagonal:
+        if known or sum(seam.length_mm for seam in _sure(found)) > ENOUGH * diagonal:
             break
-    if BUTT in wanted and not known and not any(seam.kind not in (LAP, OUTSIDE) for seam in found):
+    if BUTT in wanted and not known and not _sure(found):
         found = [*_gaps(cloud, T_field_cloud, Scale(spacing, base, noise)), *found]
     return found
+
+
+def _sure(found: list[Seam]) -> list[Seam]:
+    """Corners of the scene that leave nothing to look for."""
+    return [seam for seam in found if seam.kind not in (LAP, OUTSIDE) and not seam.glancing]
 
 
 def runs_along(path: Floats, seams: list[Seam], reach: float | None = None) -> bool:
@@ -114,7 +119,7 @@ def _corners(
             continue
         at = tree.query(curve)[1]
         sides = _consistent(pairs.first[at], pairs.second[at])
-        fit = fit_joint(cloud, curve, sides, concave, scale)
+        fit = fit_joint(cloud, curve, sides, concave, scale, scene[2])
         if fit is None:
             continue
         if concave and fit.sharpness < 1 and all(shape.bulges for shape in face_shapes(fit, *scene[:2])):
@@ -131,7 +136,7 @@ def _corners(
     result = []
     for seam, fit in zip(found, fits, strict=True):
         others = [other.root for other in (*known, *found) if other is not seam]
-        beyond = beyond_ends_mm(cloud, fit, concave, scale, others)
+        beyond = beyond_ends_mm(cloud, fit, (concave, scene[2]), scale, others)
         aside = left_out_mm(fit, face_shapes(fit, *scene[:2]), scene[:2], others) if concave else 0.0
         result.append(replace(seam, doubts=seam.doubts + cut_short(max(beyond, aside), fit)))
     return result

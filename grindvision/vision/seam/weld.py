@@ -153,8 +153,9 @@ def _findings(detected: SeamDetection, points: ArrayLike) -> list[str]:
             "the largest hollows of the scene are gaps between things, no grooves: see in the picture that the path"
             " lies in the groove, else crop the cloud to the part"
         )
-    for number, groove in enumerate(grooves, start=1):
-        findings += [f"groove {number} {finding}" for finding in diagnose_groove(groove, points, detected.spacing_mm)]
+    for number, (groove, judged) in enumerate(zip(grooves, detected.judged, strict=True), start=1):
+        told = diagnose_groove(groove, points, detected.spacing_mm, judged)
+        findings += [f"groove {number} {finding}" for finding in told]
     for number, seam in enumerate(detected.seams, start=1):
         findings += [f"seam {number} ({seam.kind}) {doubt}" for doubt in seam.doubts]
         if seam.interruptions:
