@@ -46,7 +46,7 @@ JOIN_CELLS = 2.0
 CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
 #: Fractions of the usual number of points near the seam below which a station, and with so many to each side, does not
 #: show a face: pixels mixed behind its end are few, and a single one makes no station.
-MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.3, 2.0
+MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.18, 2.0
 
 
 @by_content
