@@ -146,7 +146,7 @@ def _fit_along(
         if fitted is None:
             return None
         displacement, slopes = intersections(curve, faces, fitted)
-        shown = shown_stations(fitted, displacement, scale) & turned_stations(faces, slopes, fitted, concave)
+        shown = shown_stations(fitted, displacement, scale, closed) & turned_stations(faces, slopes, fitted, concave)
         shown &= facing(curve.stations, root_normals(faces, slopes), fitted, towards) > MIN_FACING
         if number == 1 and not _hopeful(faces, slopes, fitted, shown):
             return None
@@ -188,15 +188,16 @@ def _hopeful(faces: Faces, slopes: Floats, sides: FaceFit, shown: Flags) -> bool
     return bool(np.percentile(turn, 80) > HOPEFUL_RAD and np.median(turn) > HOPEFUL_DEVIATIONS * sigma)
 
 
-def shown_stations(sides: FaceFit, displacement: Floats, scale: Scale) -> Flags:
-    """Stations (S,) at which both faces have points near the seam that fit them, and meet near the curve."""
+def shown_stations(sides: FaceFit, displacement: Floats, scale: Scale, ring: bool = False) -> Flags:
+    """Stations (S,) at which both faces have points near the seam that fit them; they meet near the curve. The ends of
+    a ``ring`` share their points."""
     good = np.ones(len(displacement), dtype=bool)
     reach = 2 * max(int(scale.cell / max(1.5 * scale.spacing, scale.cell / 2)), 1) + 1
     for side in range(2):
         counts = sides.coverage[side]
         usual = np.median(counts[counts > 0]) if (counts > 0).any() else 1.0
         around_it = gaussian_filter1d(counts, COVERAGE_STATIONS, mode="nearest")
-        there = (counts > MIN_COVERAGE * usual) & (around_it > MIN_COVERAGE_AROUND * usual)
+        there = (counts > MIN_COVERAGE * usual) & (ring | (around_it > MIN_COVERAGE_AROUND * usual))
         good &= closed_runs(there, reach) & (sides.purity[side] > 0.5)
     return good & (np.linalg.norm(displacement, axis=1) < 2.0 * scale.cell)
 
