@@ -15,7 +15,16 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.records import by_content
-from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, faces_beside, fit_faces, intersections, root_normals
+from grindvision.vision.seam.face_fit import (
+    FaceFit,
+    Faces,
+    Scale,
+    faces_beside,
+    fit_faces,
+    intersections,
+    narrower_meeting,
+    root_normals,
+)
 from grindvision.vision.seam.joint_extent import MIN_FACING, facing, leg_lengths, rounding_mm, sharpness
 from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
@@ -232,6 +241,8 @@ def _result(
     # What neighbouring stations scatter about the smooth line, against what the fits promise.
     off = np.linalg.norm(displacement - smooth, axis=1)[shown] / np.sqrt(2)
     inflation = max(1.0, float(MAD_TO_STD * np.median(off) / max(np.median(level[shown]), 1e-9)))
+    bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
+    smooth, level = smooth + bent, np.hypot(inflation * level, np.linalg.norm(bent, axis=1))
     root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
@@ -241,7 +252,7 @@ def _result(
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     result = JointFit(
-        moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
+        moved, root, np.maximum(level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
         turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
         np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards), closed,
     )  # fmt: skip
