@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from grindvision.vision.seam.joint_fit import _one_round
+from grindvision.vision.seam.ring_line import one_round
 
 REACH_MM = 6.0
 
@@ -19,29 +19,29 @@ def circle(turns: np.ndarray, radius_mm: float = 20.0, climb_mm: float = 0.0) ->
 @pytest.mark.parametrize("phase", [0.0, 0.3])
 def test_a_round_ends_where_it_began_however_far_the_path_goes_on(stations, beyond, phase):
     root = circle(phase + np.arange(stations + 1 + beyond) / stations)
-    assert _one_round(root, REACH_MM) == stations + 1
-    assert _one_round(root[::-1], REACH_MM) == stations + 1
+    assert one_round(root, REACH_MM) == stations + 1
+    assert one_round(root[::-1], REACH_MM) == stations + 1
 
 
 @pytest.mark.parametrize("short_mm", [2.0, 5.0])
 def test_a_round_may_end_a_little_before_its_start(short_mm):
     stations = 126  # 1 mm apart
     root = circle(np.arange(stations) / stations * (1 - short_mm / (2 * np.pi * 20.0)))
-    assert _one_round(root, REACH_MM) == len(root)
+    assert one_round(root, REACH_MM) == len(root)
 
 
 def test_what_does_not_come_back_is_no_round():
     turns = np.arange(127) / 126
-    assert _one_round(circle(turns * (1 - 7.0 / 126)), REACH_MM) is None  # its end lies 7 mm before its start
-    assert _one_round(circle(turns, radius_mm=2.9), REACH_MM) is None  # never beyond the reach
+    assert one_round(circle(turns * (1 - 7.0 / 126)), REACH_MM) is None  # its end lies 7 mm before its start
+    assert one_round(circle(turns, radius_mm=2.9), REACH_MM) is None  # never beyond the reach
     there = np.column_stack([np.linspace(0, 40, 41), np.zeros(41), np.zeros(41)])
-    assert _one_round(np.vstack([there, there[::-1]]), REACH_MM) is None  # comes back the other way round
-    assert _one_round(circle(turns, climb_mm=5.0), REACH_MM) is None  # comes back beside itself, not onward
-    assert _one_round(circle(turns, climb_mm=1.0), REACH_MM) == 127
+    assert one_round(np.vstack([there, there[::-1]]), REACH_MM) is None  # comes back the other way round
+    assert one_round(circle(turns, climb_mm=5.0), REACH_MM) is None  # comes back beside itself, not onward
+    assert one_round(circle(turns, climb_mm=1.0), REACH_MM) == 127
 
 
 def test_a_path_beside_its_start_that_leads_away_from_it_is_no_round():
     square = np.array([[0.0, 0, 0], [20, 0, 0], [20, 20, 0], [-5, 20, 0], [-5, 0, 0], [-5, -20, 0]])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(square, axis=0), axis=1))])
     root = np.column_stack([np.interp(np.arange(0, arc[-1], 0.5), arc, square[:, k]) for k in range(3)])
-    assert _one_round(root, REACH_MM) is None
+    assert one_round(root, REACH_MM) is None

@@ -86,7 +86,7 @@ def test_a_view_of_another_part_is_left_out_and_told():
 
 def test_a_part_on_a_table_holds_the_motions_that_the_table_leaves_free():
     poses, clouds = seen(5, 3, half_mm=(130, 90))
-    rows, extent, centre = views._resistance(clouds[0])
+    rows, extent, _ = views._resistance(clouds[0])
     scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
     assert np.sqrt(np.linalg.eigvalsh((rows * scale).T @ (rows * scale) / len(rows))[0]) < views.MIN_STIFFNESS
     turn, place = worst(register_views(clouds), poses)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from grindvision.geometry import unit_vectors, vector_angle
+from grindvision.geometry import unit_vectors
 from grindvision.records import by_content
 from grindvision.vision.seam.face_fit import (
     FaceFit,
@@ -26,6 +26,7 @@ from grindvision.vision.seam.face_fit import (
     root_normals,
 )
 from grindvision.vision.seam.joint_extent import MIN_FACING, facing, leg_lengths, rounding_mm, sharpness
+from grindvision.vision.seam.ring_line import RING_CELLS, is_ring, joined_smoothly, one_round, overlap, wrapped
 from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
 
@@ -45,12 +46,6 @@ GROWING_CELLS = 2.0
 HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 #: Along a seam that was found the faces still meet in it while they turn by this much, rad, and so many deviations.
 MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
-#: A seam that comes back to within so many cells of its start and goes on there, within this angle, is a ring.
-RING_CELLS, RING_TURN_RAD, RING_STATIONS = 6.0, np.radians(75.0), 3
-#: The ends of a ring are fitted lying over each other by so many cells to both sides.
-OVERLAP_CELLS = 4.0
-#: On both sides of a ring's join its line is bridged over so many cells.
-JOIN_CELLS = 2.0
 #: Before it is smoothed a line goes on by so many of the smoother's lengths, with the bend over so many at its end.
 CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
 #: Fractions of the usual number of points near the seam below which a station, and with so many to each side, does not
@@ -69,7 +64,8 @@ class JointFit:
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
     seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
     already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of the angle at which the
-    flatter seen face is seen, see ``facing``.
+    flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of themselves moved the root
+    by, which is done: see ``narrower_meeting``.
     """
 
     curve: SeamCurve
@@ -86,6 +82,7 @@ class JointFit:
     members: Integers
     sharpness: float
     facing: Floats
+    missed_mm: Floats
     closed: bool = False
 
     @property
@@ -113,10 +110,10 @@ def fit_joint(
         scale: lengths of the scan.
         towards: where the scanner stands (3,), if that is known: a face ends where it turns away from there.
     """
-    fit = _fit_along(points, path, normals, (concave, _is_ring(path, scale)), scale, towards)
+    fit = _fit_along(points, path, normals, (concave, is_ring(path, scale)), scale, towards)
     if fit is None or fit.closed:
         return fit
-    turns = _one_round(fit.root, RING_CELLS * scale.cell)
+    turns = one_round(fit.root, RING_CELLS * scale.cell)
     if turns is None:
         return fit
     sides = (fit.faces.normal[0, :turns], fit.faces.normal[1, :turns])
@@ -136,9 +133,9 @@ def _fit_along(
     concave, closed = way
     step = max(1.5 * scale.spacing, scale.cell / 2)
     bisector = unit_vectors(normals[0] + normals[1])
-    count = _overlap(path, scale) if closed else 0
-    path, bisector = _wrapped(path, count), _wrapped(bisector, count)
-    sides = tuple(_wrapped(one, count) for one in normals)
+    count = overlap(path, scale) if closed else 0
+    path, bisector = wrapped(path, count), wrapped(bisector, count)
+    sides = tuple(wrapped(one, count) for one in normals)
     curve = build_curve(path, bisector, step)
     curve = _smooth(curve, scale.cell, curve.stations, curve.up)
     place = cKDTree(path).query(curve.stations)[1]
@@ -242,7 +239,7 @@ def _result(
     off = np.linalg.norm(displacement - smooth, axis=1)[shown] / np.sqrt(2)
     inflation = max(1.0, float(MAD_TO_STD * np.median(off) / max(np.median(level[shown]), 1e-9)))
     bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
-    smooth, level = smooth + bent, np.hypot(inflation * level, np.linalg.norm(bent, axis=1))
+    smooth = smooth + bent
     root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
@@ -252,9 +249,10 @@ def _result(
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     result = JointFit(
-        moved, root, np.maximum(level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
+        moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
         turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
-        np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards), closed,
+        np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards),
+        np.linalg.norm(bent, axis=1), closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
@@ -299,39 +297,6 @@ def prolonged(curve: SeamCurve, faces: Faces, reach_mm: float) -> tuple[SeamCurv
     return longer, Faces(outward, normal)
 
 
-def _is_ring(path: Floats, scale: Scale) -> bool:
-    """Whether a path (M, 3) comes back to where it began."""
-    if len(path) < 8:
-        return False
-    away = np.linalg.norm(path - path[0], axis=1)
-    return bool(away[-1] < 2.5 * scale.cell and away.max() > 4 * scale.cell)
-
-
-def _one_round(root: Floats, reach_mm: float) -> int | None:
-    """How many stations of a root (S, 3) make one round of a ring; None where its end does not lead to its start."""
-    away = np.linalg.norm(root - root[0], axis=1)
-    far = int(np.argmax(away > reach_mm))
-    back = far + int(np.argmin(away[far:]))
-    if far == 0 or away[back] > reach_mm:
-        return None
-    start, end = root[RING_STATIONS] - root[0], root[back] - root[back - RING_STATIONS]
-    gap = root[0] - root[back] if away[back] > np.linalg.norm(end) else end
-    onward = vector_angle(start, end) < RING_TURN_RAD and vector_angle(gap, end) < RING_TURN_RAD
-    return back + 1 if onward else None
-
-
-def _overlap(path: Floats, scale: Scale) -> int:
-    """Places by which a ring's path (M, 3) is prolonged at both ends, which then lie over each other."""
-    step = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    return min(int(OVERLAP_CELLS * scale.cell / max(step, 1e-9)) + 1, len(path) // 2)
-
-
-def _wrapped(line: Floats, count: int) -> Floats:
-    if count == 0:
-        return line
-    return np.concatenate([line[-count:], line, line[:count]])
-
-
 def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
     """One round of a ring that was fitted with its ends lying over each other."""
     away = np.linalg.norm(fit.root - fit.root[0], axis=1)
@@ -340,22 +305,11 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
     if far == 0 or away[back] > 2 * scale.cell:
         return replace(fit, closed=False)
     here = slice(0, back)
-    root = _joined_smoothly(fit.root[here], scale.cell, fit.curve.step_mm)
+    root = joined_smoothly(fit.root[here], scale.cell, fit.curve.step_mm)
     return replace(
         fit, curve=replace(fit.curve.part(here), stations=root), root=root,
         sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
         faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
         dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
-        facing=fit.facing[here],
+        facing=fit.facing[here], missed_mm=fit.missed_mm[here],
     )  # fmt: skip
-
-
-def _joined_smoothly(root: Floats, cell_mm: float, step_mm: float) -> Floats:
-    """A ring's root (S, 3) bridged over the few stations at its join, which were the free ends of a fit."""
-    count = min(int(JOIN_CELLS * cell_mm / step_mm) + 1, len(root) // 6)
-    pad = 3 * count
-    known = np.ones(len(root))
-    known[:count] = known[-count:] = 0.0
-    line, weight = (np.concatenate([one[-pad:], one, one[:pad]]) for one in (root, known))
-    smooth = smooth_along(line, weight, cell_mm, step_mm)[pad:-pad]
-    return np.where(known[:, None] > 0, root, smooth)
