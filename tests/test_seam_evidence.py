@@ -37,7 +37,8 @@ def test_a_groove_stands_out_of_the_blotches_of_its_plate():
     x, y, errors = blotched(np.random.default_rng(4), 120, 160)
     points = np.stack([x, y, errors - np.maximum(0.0, 5.0 - np.abs(y))], axis=-1).reshape(-1, 3)
     (groove,) = find_grooves(points, FindGroovesOptions(viewpoint_mm=ABOVE)).grooves
-    assert 0.2 < patch_noise_mm(groove, points, 0.8) < 0.5
+    noise_mm = patch_noise_mm(groove, points, 0.8)
+    assert noise_mm is not None and 0.2 < noise_mm < 0.5
     assert stands_out(judge_groove(groove, points), points, 0.8)
     (seam,) = find_seams(points, FindSeamsOptions(ABOVE)).seams
     assert np.abs(seam.root[:, 1]).mean() < 0.5
