@@ -12,6 +12,7 @@ from grindvision.vision.seam.groove_diagnostics import judge_groove
 from grindvision.vision.seam.groove_noise import patch_noise_mm, stands_out
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
+from grindvision_book.chapter_15.study import look_at_bend
 from tests.groove_scenes import cloud, grid, vee
 from tests.seam_scenes import corner, noisy
 
@@ -93,3 +94,8 @@ def test_members_are_numbers_of_the_cloud_with_its_empty_pixels():
     weld = trace_weld(sparse, TraceWeldOptions(joint="groove"))
     (groove,) = weld.grooves
     assert weld.labels[groove.members].all() and len(groove.members) == weld.labels.sum()
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_a_sheet_bent_as_narrowly_as_its_noise_allows_is_no_corner(seed):
+    assert look_at_bend(15.0, 0.4, 1.0, seed) is None
