@@ -44,7 +44,7 @@ MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
 MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.25, 0.08
 #: Faces that are fitted to less of themselves meet within this fraction of a cell of where they met; those of one sheet
-#: that bends, through this angle at most, do not.
+#: that bends into the corner, through this angle at most, do not.
 MAX_MISSED_CELLS, MOST_BENT_RAD = 0.2, np.radians(100.0)
 #: Faces are seen for so many cells at least; an outside corner, which every edge of a body is, for so many.
 MIN_LEG_CELLS, MIN_OUTSIDE_CELLS, MIN_OUTSIDE_MM = 1.8, 7.0, 15.0
@@ -94,7 +94,7 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
         return False
     if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
         return False
-    if np.median(fit.missed_mm[shown]) > MAX_MISSED_CELLS * scale.cell and strongest < MOST_BENT_RAD:
+    if np.median(fit.missed_mm[shown]) > MAX_MISSED_CELLS * scale.cell and bend > 0 and strongest < MOST_BENT_RAD:
         return False
     if fit.noise_mm.max() > 2.5 * scale.noise + MAX_SCATTER_CELLS * scale.cell:
         return False
