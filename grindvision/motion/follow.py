@@ -75,14 +75,12 @@ def follow_trajectory(
         raise stopped.complaint() from None
 
 
-@dataclass(eq=False)
 class Stopped(Exception):
     """A pose out of ``poses`` (N, 4, 4) was not reached from ``q_start_rad`` (n,); ``complaint`` says which and why."""
 
-    robot: Robot
-    poses: Floats
-    q_start_rad: Floats
-    spin_free: bool
+    def __init__(self, robot: Robot, poses: Floats, q_start_rad: Floats, spin_free: bool) -> None:
+        super().__init__()
+        self.robot, self.poses, self.q_start_rad, self.spin_free = robot, poses, q_start_rad, spin_free
 
     @one_blas_thread()
     def complaint(self) -> UnreachableError:
