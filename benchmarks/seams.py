@@ -31,6 +31,7 @@ from grindvision.cell.views import view_from
 from grindvision.cell.weld_pieces import Groove
 from grindvision.errors import GrindvisionError, NoGrooveError
 from grindvision.geometry import rotation_about
+from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.weld import TraceWeldOptions, Weld, trace_weld
 
 Floats = NDArray[np.float64]
@@ -220,15 +221,20 @@ def judged(name: str, seed: int, seen: Seen) -> dict[str, object]:
     row |= {"found_kind": seam.kind, "warnings": said, "sigma_mm": round(float(np.median(seam.sigma_mm)), 3)}
     right = False
     if seen.root is not None:
-        ends = cKDTree(seam.root[[0, -1]]).query(seam.root)[0]
-        line = seam.root if seam.closed else seam.root[ends > END_MM]
-        off = cKDTree(_dense(seen.root)).query(line)[0]
-        alike = [one.root for one in weld.seams if one.kind == seam.kind]  # a clamp makes two of one
-        near = cKDTree(np.concatenate(alike)).query(seen.root)[0]
+        alike = [one for one in weld.seams if one.kind == seam.kind]  # a clamp makes two of one
+        off = cKDTree(_dense(seen.root)).query(np.concatenate([_between_ends(one) for one in alike]))[0]
+        near = cKDTree(np.concatenate([one.root for one in alike])).query(seen.root)[0]
         followed = float((near < 2 * WRONG_MM).mean())
         row |= {"mean_mm": round(off.mean(), 3), "max_mm": round(off.max(), 3), "followed": round(followed, 3)}
         right = seam.kind == seen.kind and off.mean() < WRONG_MM and followed > TRUNCATED
     return row | {"verdict": "right" if right else "wrong, warned" if said else "SILENTLY WRONG"}
+
+
+def _between_ends(seam: Seam) -> Floats:
+    """The root of a seam less its ends."""
+    if seam.closed:
+        return seam.root
+    return seam.root[cKDTree(seam.root[[0, -1]]).query(seam.root)[0] > END_MM]
 
 
 def run(path: Path, pattern: str, views: range) -> None:
