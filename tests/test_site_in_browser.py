@@ -146,6 +146,16 @@ def test_the_scoreboard_of_the_front_page_is_a_table_on_a_desk_and_a_list_on_a_t
         assert board.locator("xpath=self::*[contains(@class, 'stacked')]").count() == stacked, width
 
 
+@pytest.mark.parametrize("name", ["bench_detect", "scoreboard"])
+def test_many_columns_are_set_in_small_type_on_a_desk_and_as_a_list_on_a_telephone(tab, whole_site, name):
+    tab.goto((whole_site / f"figures/{name}.html").as_uri())
+    for width, arranged in zip(WIDTHS, ("dense", "stacked"), strict=True):
+        tab.set_viewport_size({"width": width, "height": 900})
+        tab.evaluate(CUT_OFF)
+        assert tab.locator(f".bd-article table.{arranged}").count() > 0, width
+        assert tab.locator(".bd-article table.stacked").count() == 0 or width < 600
+
+
 #: How JupyterLab sets tables (its ``rendermime`` styles), and the place of a cell's output.
 LAB = """<style>body {margin: 0} .jp-OutputArea-output {width: %dpx; overflow: auto; font: 13px sans-serif}
 table {border-collapse: collapse; table-layout: fixed; font-size: 13px} td, th {padding: 0.5em; white-space: normal}

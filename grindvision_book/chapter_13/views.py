@@ -54,7 +54,7 @@ def screw(motion: Floats) -> tuple[float, float]:
 def register_neighbours(folder: Path, name: str, pairs: int, seed: int) -> pd.DataFrame:
     """Register each view with the next one, ``pairs`` of the eight, and compare angle and pitch with the controller's.
 
-    ``state`` is ``right``, ``wrong`` or ``refused``; ``said`` begins the refusal.
+    ``state`` is ``right``, ``wrong`` or ``refused``; ``said`` the first part of the refusal.
     """
     clouds, flanges = views(folder, name), controller_poses(folder, name)
     rows = []
@@ -66,7 +66,7 @@ def register_neighbours(folder: Path, name: str, pairs: int, seed: int) -> pd.Da
                 warnings.simplefilter("ignore", GrindvisionWarning)  # stray points, left out
                 found = register(clouds[first + 1], clouds[first], RegisterOptions(seed=seed))
         except GrindvisionError as error:
-            rows.append({**row, "state": "refused", "said": str(error)[:80]})
+            rows.append({**row, "state": "refused", "said": str(error).split(";")[0]})
             continue
         seen, along = screw(found.T_target_source)
         row |= {"off_deg": seen - angle, "off_pitch_mm": along - pitch, "overlap_percent": 100 * found.overlap}

@@ -168,6 +168,7 @@ def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) ->
             status=None,
             warning=complaints,
             freshenv=True,
+            parallel=os.cpu_count() or 1,
         )
         with warnings.catch_warnings():
             # Sphinx also parses the sources of our classes' parents; one library's write \d unescaped.

@@ -49,7 +49,7 @@ def gallery_page(
 def _card(folder: Path, figure: Figure) -> str:
     from PIL import Image
 
-    small = f"small/{figure.name}.webp"
+    small = f"small/{figure.name}_small.webp"  # no other picture of the site has its name
     with Image.open(folder / f"{figure.name}.png") as picture:
         reduced = picture.convert("RGB")
         reduced.thumbnail((SMALL_PX, SMALL_PX), Image.Resampling.LANCZOS)

@@ -59,6 +59,7 @@ html_theme_options = {
     "show_navbar_depth": 1,
     "navbar_persistent": [],
     "navbar_end": [],
+    "secondary_sidebar_items": {"**": ["page-toc.html"], "figures/scoreboard": []},  # its tables take the whole width
     "extra_footer": f"<p>Version {release}</p>",
 }
 html_sidebars = {"**": ["navbar-logo.html", "search-button-field.html", "sbt-sidebar-nav.html"]}
@@ -85,6 +86,7 @@ mathjax3_config = {
 def setup(app: Sphinx) -> None:
     """Choose the parts of MathJax, and leave out the theme's icon library: the style sheet draws the few in use."""
     app.config.mathjax_path = "mathjax/startup.js"
+    app.extensions["sphinx-mathjax-offline"].parallel_read_safe = True  # it only adds files; it does not say so
     app.connect("autodoc-process-signature", _with_plain_aliases)
     app.connect("html-page-context", _about_the_page)
     app.connect("html-page-context", _contents_by_titles)

@@ -71,7 +71,8 @@ function foldCode() {
   title.after(button);
 }
 
-// A table that is wider than its column is shown row by row, every cell with its heading.
+// A table that is wider than its column, or whose many columns are so narrow that a row takes more than four lines, is
+// set in small type; where that is not enough, or on a telephone, it is shown row by row, every cell with its heading.
 function stackWideTables() {
   const tables = [...document.querySelectorAll(".bd-article table")].filter((table) => {
     const heads = [...table.querySelectorAll("thead tr:last-child th")].map((head) => head.textContent.trim());
@@ -82,9 +83,16 @@ function stackWideTables() {
   });
   const arrange = () => {
     for (const table of tables) {
-      table.classList.remove("stacked");
+      table.classList.remove("stacked", "dense");
       const box = table.parentElement;
-      table.classList.toggle("stacked", table.scrollWidth > box.clientWidth + 1 && box.clientWidth > 0);
+      const tooWide = () => table.scrollWidth > box.clientWidth + 1 && box.clientWidth > 0;
+      const rows = [...(table.tBodies[0]?.rows ?? [])];
+      const crowded = rows.some((row) => row.cells.length > 6 && row.offsetHeight > 110);
+      if ((tooWide() || crowded) && box.clientWidth > 600) table.classList.add("dense");
+      if (tooWide()) {
+        table.classList.remove("dense");
+        table.classList.add("stacked");
+      }
     }
   };
   arrange();
