@@ -367,6 +367,17 @@ def test_damaged_tables_are_refused(tmp_path, text, said):
         read_pose_rows(tmp_path / "p.txt")
 
 
+@pytest.mark.parametrize(
+    ("parted", "point"), [(";", ","), ("; ", ","), ("\t", ","), (" ", ","), (",", "."), (", ", "."), (";", ".")]
+)
+def test_a_comma_is_the_decimal_point_where_something_else_parts_the_columns(tmp_path, parted, point):
+    rows = np.random.default_rng(4).normal(0, 100, (9, 6)).round(6)
+    lines = ["x y z rx ry rz".replace(" ", parted)]
+    lines += [parted.join(str(value).replace(".", point) for value in row) for row in rows]
+    (tmp_path / "p.csv").write_text("\n".join(lines) + "\n")
+    assert np.array_equal(read_pose_rows(tmp_path / "p.csv"), rows)
+
+
 def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refused(real_data, tmp_path, capsys):
     folder = real_data("reghec")
     said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first", "--target", "part"]

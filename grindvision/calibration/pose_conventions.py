@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from grindvision.errors import FileError, InputError
+from grindvision.formats.tables import SAMPLE, punctuation
 from grindvision.geometry import check_rigid, inverse
 from grindvision.input_files import open_input, read_rest
 from grindvision.records import by_content
@@ -102,26 +103,29 @@ def convention(rotation: str, angles: str | None = None, length: str = "mm", **f
 def read_pose_rows(path: str | Path) -> Floats:
     """Numbers (N, C) of a table of poses, a row each, C of ``COUNTS``; commas, semicolons, tabs or blanks between.
 
-    A first line of words is a header, and lines that begin with # are comments.
+    A first line of words is a header, and lines that begin with # are comments. A comma is the decimal point where
+    something else parts the columns.
 
     Raises:
         FileError: missing or empty file, no numbers, rows of different lengths, a count that is no pose's.
     """
     with open_input(path) as file:
         text = read_rest(path, file, 20).decode("utf-8-sig", errors="replace")
+    lines = [line.partition("#")[0].strip("[] \t") for line in text.splitlines()]
+    decimal_comma = punctuation([line for line in lines if re.match(r"[-+.]?\d", line)][:SAMPLE])[1]
     rows: list[list[float]] = []
     header = False
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = [word for word in re.split(r"[,;\s]+", line.partition("#")[0].strip("[] \t")) if word]
+    for number, line in enumerate(lines, start=1):
+        words = [word for word in re.split(r"[;\s]+" if decimal_comma else r"[,;\s]+", line) if word]
         if not words:
             continue
         try:
-            row = [float(word) for word in words]
+            row = [float(word.replace(",", ".")) for word in words]
         except ValueError:
             if not rows and not header:
                 header = True
                 continue
-            raise FileError(f"{path}: line {number} is no row of numbers ({line.strip()[:60]!r}); mend it") from None
+            raise FileError(f"{path}: line {number} is no row of numbers ({line[:60]!r}); mend it") from None
         if not np.isfinite(row).all():
             raise FileError(f"{path}: line {number} holds NaN or infinity; take the pose and its cloud out")
         if rows and len(row) != len(rows[0]):

@@ -16,6 +16,8 @@ from grindvision.input_files import read_rest
 
 COMMENTS = ("#", "//", "%")
 MAX_HEADER_LINES = 50
+
+#: So many rows tell how a table is written.
 SAMPLE = 20
 
 #: A column's name as exporters write it: x, "X", x_mm, x [mm], X/m, Nx, normal_x; ParaView counts: Points:0.
@@ -47,7 +49,7 @@ def read_table(path: Path, file: BinaryIO) -> Content:
 
 
 def _content(path: Path, rows: list[str], title: str) -> Content:
-    separator, decimal_comma = _punctuation(rows[:SAMPLE])
+    separator, decimal_comma = punctuation(rows[:SAMPLE])
     columns = len(_split(rows[0], separator)) if rows else 0
     names, unit = _names(path, title, separator, columns)
     if separator == "," and not names and columns >= 6 and not any("." in row for row in rows):
@@ -67,8 +69,8 @@ def _content(path: Path, rows: list[str], title: str) -> Content:
     return Content(found.points, found.normals, None, unit, note)
 
 
-def _punctuation(rows: list[str]) -> tuple[str | None, bool]:
-    """What parts the columns (None: blanks), and whether a comma is the decimal point."""
+def punctuation(rows: list[str]) -> tuple[str | None, bool]:
+    """What parts the columns of rows of numbers (None: blanks), and whether a comma is the decimal point."""
     for separator in (";", "\t"):
         if any(separator in row for row in rows):
             return separator, any("," in row for row in rows)
