@@ -359,7 +359,8 @@ def test_of_many_views_only_those_turned_little_against_each_other_are_registere
 @pytest.mark.parametrize(
     ("text", "said"),
     [("", "no rows"), ("1 2 3\n", "3 numbers a line"), ("1 2 3 4 5 6\n1 2 3 4 5\n", "line 2 has 5"),
-     ("1 2 3 4 5 6\na b c d e f\n", "line 2 is no row"), ("1 2 3 4 5 nan\n", "line 1 holds NaN")],
+     ("1 2 3 4 5 6\na b c d e f\n", "line 2 is no row"), ("1 2 3 4 5 nan\n", "line 1 holds NaN"),
+     ("1\0 \0002\0", "save it as UTF-8")],
 )  # fmt: skip
 def test_damaged_tables_are_refused(tmp_path, text, said):
     (tmp_path / "p.txt").write_text(text)

@@ -111,6 +111,8 @@ def read_pose_rows(path: str | Path) -> Floats:
     """
     with open_input(path) as file:
         text = read_rest(path, file, 20).decode("utf-8-sig", errors="replace")
+    if "\0" in text:
+        raise FileError(f"{path}: not a plain text table; save it as UTF-8 text")
     lines = [line.partition("#")[0].strip("[] \t") for line in text.splitlines()]
     decimal_comma = punctuation([line for line in lines if re.match(r"[-+.]?\d", line)][:SAMPLE])[1]
     rows: list[list[float]] = []
