@@ -126,6 +126,14 @@ def test_a_target_in_one_place_of_the_view_leaves_the_camera_open_and_says_so():
     told = poorly_known(found, poses, points)
     assert f"its rotation to {known.rotation_deg:.2g} deg" in told
     assert "in its corners" in told and "would leave" in told
+    assert re.search(r"was seen within [01] mm \(rms\) of one place before the camera", told)
+    worst, least = (
+        float(one) for one in re.search(r"its place to (\S+) mm along \(.*?\), to (\S+) mm along", told).groups()
+    )
+    sigmas = np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3]))
+    assert (least, worst) == pytest.approx((sigmas[0], sigmas[-1]), rel=0.06)
+    left_out = np.sqrt(np.mean(found.left_out_mm**2))
+    assert f"still meet within about {left_out:.2g} mm" in told
 
 
 def test_poses_that_are_advised_bring_the_camera_to_what_is_said():

@@ -70,13 +70,29 @@ def poorly_known(found: HandEye, T_base_flange: Floats, target_camera: Floats) -
     now = knowledge(found, target_camera)
     if now.useful:
         return ""
-    frame = "flange" if found.mounted == "on-arm" else "base"
-    along, about = (_axis(found.covariance[part, part]) for part in (slice(0, 3), slice(3, 6)))
-    told = f"the camera is known poorly: {now} (one sigma), worst along {along} and about {about} of the {frame}"
+    told = f"the camera is known poorly (one sigma): {_known_directions(found, now, target_camera)}"
     names, then = further_poses(found, T_base_flange, target_camera)
     if not names:
         return f"{told}; a few more such poses would not mend it: take many more, or a larger target"
     return f"{told}; {', and '.join(names)} would leave {then}"
+
+
+def _known_directions(found: HandEye, now: Knowledge, target_camera: Floats) -> str:
+    """In words, which directions are known how well, why, and how views of a thing where the target was still meet."""
+    frame = "flange" if found.mounted == "on-arm" else "base"
+    place, rotation = (found.covariance[part, part] for part in (slice(0, 3), slice(3, 6)))
+    least_mm = float(np.sqrt(max(np.linalg.eigvalsh(place)[0], 0.0)))
+    told = (
+        f"its place to {now.place_mm:.2g} mm along {_axis(place)}, to {least_mm:.2g} mm along {_axis(place, 0)}, its"
+        f" rotation to {now.rotation_deg:.2g} deg about {_axis(rotation)} of the {frame}, a point where the target was"
+        f" to {now.target_mm:.2g} mm"
+    )
+    if np.ndim(target_camera) == 2:
+        seen = np.asarray(target_camera, dtype=float)
+        rms_mm = float(np.sqrt(((seen - seen.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        told += f"; the target was seen within {rms_mm:.0f} mm (rms) of one place before the camera"
+    meet_mm = float(np.sqrt(np.mean(found.left_out_mm[found.fitting] ** 2)))
+    return f"{told}; views of a thing there still meet within about {meet_mm:.2g} mm"
 
 
 def further_poses(found: HandEye, T_base_flange: Floats, target_camera: Floats) -> tuple[list[str], Knowledge]:
@@ -144,9 +160,11 @@ def _looking(found: HandEye, target: Floats, rotations: list[Floats], places: Fl
     return poses, places if target.ndim == 2 else inverse(poses @ found.T_parent_camera) @ found.target
 
 
-def _axis(covariance: Floats) -> str:
-    """In words, the direction in which a covariance (3, 3) is largest."""
-    return f"({', '.join(f'{value:.2f}' for value in np.linalg.eigh(covariance)[1][:, -1])})"
+def _axis(covariance: Floats, which: int = -1) -> str:
+    """In words, the direction in which a covariance (3, 3) is largest, or with ``which`` 0 least."""
+    direction = np.linalg.eigh(covariance)[1][:, which]
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return f"({', '.join(f'{value:.2f}' for value in direction + 0.0)})"
 
 
 def _points(target: Floats) -> Floats:
