@@ -1,6 +1,7 @@
 """Views joined in the base frame by the camera's calibration, and scanner's poses from the controller's."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,8 +14,9 @@ from grindvision.cli.camera_pose import Camera, camera_content, read_camera, sca
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.errors import DegenerateError, FileError, InputError, UnitError
 from grindvision.files import write_json
-from grindvision.geometry import inverse, rigid
+from grindvision.geometry import inverse, move_points, rigid
 from grindvision.vision.registration.meeting import merge
+from grindvision.vision.registration.view_fit import fit_views
 from tests.hand_eye_scene import TARGET, X, looking_poses, part_view
 
 N = 4
@@ -56,6 +58,35 @@ def test_views_at_their_true_poses_meet_and_others_by_what_they_are_off():
     assert merge(clouds, world @ poses @ X).overall_mm == pytest.approx(meeting.overall_mm, abs=1e-6)
 
 
+def test_views_are_fitted_to_each_other_and_stay_where_the_arm_puts_them_in_the_mean():
+    poses, clouds = scene()
+    rng = np.random.default_rng(1)
+    turns = Rotation.from_rotvec(np.radians(0.03) * rng.normal(size=(N, 3))).as_matrix()
+    erring = np.array([rigid(turn, 0.3 * rng.normal(size=3)) for turn in turns]) @ poses @ X
+    before = merge(clouds, erring)
+    fitted = fit_views(clouds, erring, before)
+    assert fitted.meeting.overall_mm < 0.3 * before.overall_mm
+    motions = fitted.T_common_view @ inverse(erring)
+    moved = np.array([move_points(one, TARGET) - TARGET for one in motions])
+    assert np.linalg.norm(moved.mean(axis=0)) < 0.25 * np.linalg.norm(moved, axis=1).mean()
+    between = inverse(fitted.T_common_view[0]) @ fitted.T_common_view
+    true = inverse(poses[0] @ X) @ poses @ X
+    off = [np.linalg.norm(move_points(one @ inverse(other), clouds[0]) - clouds[0], axis=1).max()
+           for one, other in zip(between, true, strict=True)]  # fmt: skip
+    assert max(off) < 0.1
+    assert fit_views(clouds, poses @ X, replace(before, overall_mm=0.0)) is None
+
+
+def test_where_the_surfaces_hold_no_motion_the_arm_decides():
+    rng = np.random.default_rng(2)
+    flat = np.column_stack([rng.uniform(-60, 60, (4000, 2)), np.zeros(4000)])
+    clouds = [flat + [0, 0, 400] + 0.02 * rng.normal(size=flat.shape) for _ in range(3)]
+    posed = np.array([rigid(None, shift) for shift in ([0, 0, 0.0], [2.0, 0, 0.4], [0, 1.0, -0.4])])
+    fitted = fit_views(clouds, posed, merge(clouds, posed))
+    assert np.abs(np.ptp(fitted.T_common_view[:, 2, 3])) < 0.02
+    assert np.abs(fitted.T_common_view[:, :2, 3] - posed[:, :2, 3]).max() < 0.1
+
+
 def test_views_that_meet_nowhere_are_refused():
     _, clouds = scene()
     apart = np.array([rigid(None, [1000.0 * row, 0, 0]) for row in range(N)])
@@ -70,7 +101,11 @@ def test_the_command_joins_the_views_where_the_part_is(tmp_path, mounted, frame)
     report = json.loads((tmp_path / "part" / "report.json").read_text())
     assert report["frame"] == frame
     assert report["meeting_mm"]["median"] < 0.1
-    joined = read_cloud(tmp_path / "part" / "merged.ply", "mm").points
+    written = read_cloud(tmp_path / "part" / "merged.ply", "mm")
+    joined = written.points
+    assert np.abs(np.linalg.norm(written.normals, axis=1) - 1).max() < 1e-5
+    at = np.repeat(np.array(report[f"T_{frame}_camera"])[:, :3, 3], 4000, axis=0)
+    assert ((at - joined) * written.normals).sum(axis=1).min() > 0
     assert len(joined) == report["points"] == N * 4000
     assert np.abs(joined[:, :2].mean(axis=0) - TARGET[:2]).max() < 1.0
     assert joined[:, 2].min() == pytest.approx(TARGET[2], abs=0.3)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import angle_between, inverse, random_rotation, rigid
 from grindvision.vision.registration import views
+from grindvision.vision.registration.view_poses import Tie, closed_ties, triangle_pairs
 from grindvision.vision.registration.views import ViewRegistration, register_views
 from tests.hand_eye_scene import part_view
 
@@ -38,9 +40,14 @@ def worst(found: ViewRegistration, poses):
     return max(turns), max(places)
 
 
-def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in_its_middle():
+def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in_its_middle(monkeypatch):
     poses, clouds = seen(0)
-    found = register_views(clouds)
+    plain, registered = views._registered, []
+    monkeypatch.setattr(views, "_registered", lambda *words: registered.append(1) or plain(*words))
+    done = []
+    found = register_views(clouds, finished=lambda *counts: done.append(counts))
+    assert len(registered) == 2 * 5 - 3  # the other three pairs are refined from where these put them
+    assert len(found.pairs) == 10 and done == [(k, 10) for k in range(1, 11)]
     turn, place = worst(found, poses)
     assert turn < 2e-3 and place < 0.1
     assert found.found.tolist() == [0, 1, 2, 3, 4]
@@ -51,9 +58,38 @@ def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in
     assert "5 of 5 views" in str(found)
 
 
+def ties_of(poses, pairs, wrong=()):
+    off = rigid(None, [5.0, 0, 0])
+    return {(a, b): Tie(inverse(poses[a]) @ poses[b] @ (off if (a, b) in wrong else np.eye(4)), np.zeros(3), np.eye(6))
+            for a, b in pairs}  # fmt: skip
+
+
+def test_few_pairs_put_every_view_into_a_loop_of_three_and_those_preferred_come_first():
+    rng = np.random.default_rng(3)
+    for n in (3, 5, 9):
+        wanted = [tuple(pair) for pair in rng.permutation(list(combinations(range(n), 2))).tolist()]
+        chosen = triangle_pairs(wanted, n)
+        assert len(chosen) == 2 * n - 3 and wanted[0] in chosen and sorted(chosen, key=wanted.index) == chosen
+        ties = ties_of(np.tile(np.eye(4), (n, 1, 1)), chosen)
+        assert closed_ties(ties, 1.0, 50.0, np.zeros((n, 3))) == chosen
+    assert triangle_pairs([(0, 1), (2, 1)], 4) == [(0, 1), (2, 1)]
+
+
+def test_ties_are_closed_by_a_ring_of_any_length_unless_one_of_it_is_wrong():
+    poses = camera_poses(np.random.default_rng(0), 6)
+    ring, middles = [(0, 1), (1, 2), (3, 2), (3, 4), (0, 4)], np.zeros((6, 3))
+    for pairs, wrong, closed in (
+        (ring, (), ring),
+        (ring, [(3, 2)], []),
+        ([*ring, (0, 2)], [(3, 2)], [(0, 1), (1, 2), (0, 2)]),
+        ([*ring, (4, 5)], (), ring),
+    ):
+        assert closed_ties(ties_of(poses, pairs, wrong), 1.0, 50.0, middles) == closed
+
+
 def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
     poses, clouds = seen(0, 4)
-    plain = views._tie
+    plain = views.tie_of
 
     def wrong(fine, source):
         tie = plain(fine, source)
@@ -66,7 +102,7 @@ def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
     seen_pairs, kept = [], clouds
     monkeypatch.setattr(views, "without_strays", lambda points, name: points)
     monkeypatch.setattr(views, "check_points", lambda points, *_: points)
-    monkeypatch.setattr(views, "_tie", wrong)
+    monkeypatch.setattr(views, "tie_of", wrong)
     found = register_views(clouds)
     assert list(found.refused.values()) == ["does not agree with the other pairs"]
     assert worst(found, poses)[1] < 0.1

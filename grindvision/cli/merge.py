@@ -13,13 +13,16 @@ from grindvision.errors import GrindvisionWarning, InputError
 
 EPILOG = """\
 POSES and CLOUDs as for `grindvision hand-eye`: a row for every cloud, in their order. Views of a camera on the arm are
-joined in the robot's base frame, those of a fixed camera in the frame of the flange that holds the part.
+joined in the robot's base frame, those of a fixed camera in the frame of the flange that holds the part. How they meet
+there says how good arm and hand-eye are. Then the views are fitted to each other, where their surfaces overlap, and all
+together stay where the arm puts them in the mean: say --as-posed to leave them where the poses put them.
 
 results in DIR:
-  merged.ply       all points in one frame, for detect and groove: they take --scanner-pose with the
-                   identity, and groove --base controller where it has a --robot
+  merged.ply       all points in one frame, with normals turned to the camera of their view, for detect and groove:
+                   they take --scanner-pose with the identity, and groove --base controller where it has a --robot
   report.png       did it work? the views, a colour each, and how far each pair is apart where it overlaps
-  report.json      meeting_mm: the median, every pair, the worst one; timings, versions, parameters; written last
+  report.json      meeting_mm: by the poses, the median, every pair, the worst one; fitted_mm: after the views were
+                   fitted to each other; timings, versions, parameters; written last
 
 exit code: 0 done, 2 the input cannot be used (one line says why), 1 anything else
 
@@ -41,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_unit_argument(data)
     how = parser.add_argument_group("how the poses are written")
     add_convention_arguments(how, " of `grindvision hand-eye --help` (default: as in the calibration)")
+    parser.add_argument(
+        "--as-posed",
+        action="store_true",
+        help="leave the views where poses and hand-eye put them; else they are fitted to each other",
+    )
     add_output_arguments(parser)
 
 
@@ -52,7 +60,9 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.calibration.pose_conventions import read_pose_rows
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import finite_points, write_ply
+    from grindvision.geometry import rotate_vectors
     from grindvision.vision.registration.meeting import merge
+    from grindvision.vision.registration.view_fit import fit_views, view_normals
 
     camera = read_camera(options.hand_eye)
     stated = stated_convention(options, camera.convention)
@@ -67,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         )
     draw = drawing("merge_picture")
     frame = "base" if camera.mounted == "on-arm" else "flange"
-    with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 4) as work:
+    with Run(options, ("poses", "clouds"), ("numpy", "scipy", "numba", "matplotlib"), 5) as work:
         with work.stage("read"):
             clouds = read_scans(options.clouds, options.unit)
             views = [finite_points(cloud, path) for cloud, path in zip(clouds, options.clouds, strict=True)]
@@ -75,6 +85,10 @@ def run(options: argparse.Namespace) -> int:
         poses = camera.poses(flange)
         with work.stage("meet"):
             meeting = merge(views, poses)
+        with work.stage("fit"):
+            fitted = None if options.as_posed else fit_views(views, poses, meeting)
+        placed = poses if fitted is None else fitted.T_common_view
+        points = meeting.points if fitted is None else fitted.meeting.points
         first, second = meeting.worst
         worst_mm = float(meeting.pair_mm[first, second])
         names = [Path(name).name for name in options.clouds]
@@ -85,9 +99,10 @@ def run(options: argparse.Namespace) -> int:
         for text in [*check_pose_rows(flange), *findings]:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
-            write_ply(work.place / "merged.ply", meeting.points)
+            normals = [rotate_vectors(pose, view_normals(view)) for pose, view in zip(placed, views, strict=True)]
+            write_ply(work.place / "merged.ply", points, np.vstack(normals))
         with work.stage("picture"):
-            joined = np.split(meeting.points, np.cumsum([len(view) for view in views])[:-1])
+            joined = np.split(points, np.cumsum([len(view) for view in views])[:-1])
             draw(meeting, joined, frame, worst, work.warnings, work.place / "report.png")
         results = {
             "frame": frame,
@@ -97,9 +112,10 @@ def run(options: argparse.Namespace) -> int:
                 "pairs": meeting.median_mm,
                 "worst": {"clouds": [options.clouds[first], options.clouds[second]], "median": worst_mm},
             },
-            f"T_{frame}_camera": poses,
+            "fitted_mm": None if fitted is None else {"median": fitted.meeting.overall_mm, "moved": fitted.moved_mm},
+            f"T_{frame}_camera": placed,
         }
-        message = f"{meeting}; {worst}"
+        message = f"{meeting}; {worst}" + ("" if fitted is None else f"; {fitted}")
         question = size_question([f"CLOUD 1 of {len(views)}"], clouds[:1])
         work.report(message, results, {"convention": str(stated), "frame": frame}, questions=[question])
     return 0

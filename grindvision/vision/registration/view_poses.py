@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +43,79 @@ def open_loops(ties: dict[Pair, Tie], max_mm: float, extent: float, middles: Seq
         if not all(side in linked for side in sides):
             continue
         loop = _pose(ties, a, b) @ _pose(ties, b, c) @ _pose(ties, c, a)
-        moved = np.linalg.norm(move_points(loop, middles[a]) - middles[a])
-        turned = float(Rotation.from_matrix(loop[:3, :3]).magnitude())
         for side in sides:
-            opened[side].append(bool(np.hypot(moved, turned * extent) > max_mm))
+            opened[side].append(moved_mm(loop, middles[a], extent) > max_mm)
     return [pair for pair in ties if (loops := opened[frozenset(pair)]) and 2 * sum(loops) > len(loops)]
 
 
-def largest_group(ties: dict[Pair, Tie], views: int) -> list[int]:
+def closed_ties(ties: dict[Pair, Tie], max_mm: float, extent: float, middles: Sequence[Floats]) -> list[Pair]:
+    """Ties of at least one loop that ends where it began, within ``max_mm`` for loops of three and as the root of their
+    number for more: the shortest way round through the others is asked of each."""
+    closed: set[frozenset[int]] = set()
+    for a, b in ties:
+        way = _shortest_way([pair for pair in ties if pair != (a, b)], a, b)
+        if not way:
+            continue
+        loop = _pose(ties, b, a)
+        for row, other in pairwise(way):
+            loop = loop @ _pose(ties, row, other)
+        if moved_mm(loop, middles[b], extent) <= max_mm * np.sqrt(len(way) / 3):
+            closed |= {frozenset(pair) for pair in [(a, b), *pairwise(way)]}
+    return [pair for pair in ties if frozenset(pair) in closed]
+
+
+def _shortest_way(pairs: Sequence[Pair], first: int, last: int) -> list[int]:
+    """Views from ``first`` to ``last`` over the fewest pairs; none where none lead there."""
+    came_from = {first: first}
+    reached = [first]
+    for row in reached:
+        for a, b in pairs:
+            other = b if a == row else a
+            if row in (a, b) and other not in came_from:
+                came_from[other] = row
+                reached.append(other)
+    if last not in came_from:
+        return []
+    way = [last]
+    while way[-1] != first:
+        way.append(came_from[way[-1]])
+    return way[::-1]
+
+
+def moved_mm(motion: Floats, middle: Floats, extent: float) -> float:
+    """How far (mm) a motion takes a part of this extent about its middle (3,)."""
+    turned = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
+    return float(np.hypot(np.linalg.norm(move_points(motion, middle) - middle), turned * extent))
+
+
+def triangle_pairs(wanted: Sequence[Pair], views: int) -> list[Pair]:
+    """Few of the pairs, so that each view closes a loop of three with two others: 2 N - 3 of N views, where the pairs
+    allow it. Pairs early in ``wanted`` are preferred; a view that closes no loop is tied by one pair."""
+    rank = {frozenset(pair): at for at, pair in enumerate(wanted)}
+    chosen = [frozenset(wanted[0])]
+    placed = set(wanted[0])
+    while len(placed) < views:
+        loops = [
+            (max(rank[one], rank[other]), rank[one] + rank[other], row, one, other)
+            for row in set(range(views)) - placed
+            for a, b in chosen
+            if (one := frozenset((row, a))) in rank and (other := frozenset((row, b))) in rank
+        ]
+        if loops:
+            *_, row, one, other = min(loops, key=lambda loop: loop[:3])
+            chosen += [one, other]
+        else:
+            single = [(at, pair) for pair, at in rank.items() if len(pair & placed) == 1]
+            if not single:
+                break
+            pair = min(single, key=lambda one: one[0])[1]
+            chosen.append(pair)
+            (row,) = pair - placed
+        placed.add(row)
+    return [wanted[at] for at in sorted(rank[pair] for pair in chosen)]
+
+
+def largest_group(ties: Iterable[Pair], views: int) -> list[int]:
     """The most views that pairs tie together, in order; of groups of one size the one with the lowest number."""
     group = list(range(views))
     for a, b in ties:
@@ -75,13 +140,15 @@ def poses_along_pairs(ties: dict[Pair, Tie], reference: int, views: int) -> Floa
 
 
 def consistent_poses(
-    ties: dict[Pair, Tie], poses: Floats, reference: int, iterations: int = 20
+    ties: dict[Pair, Tie], poses: Floats, reference: int, iterations: int = 20, firm: Collection[Pair] = ()
 ) -> tuple[Floats, Floats]:
     """Poses that all pairs agree on best, view ``reference`` at rest, and what is left of each pair (K,), mm.
 
     A pair's cost is that of its surfaces: with D the motion that leads from the pair's pose to the views' poses, the
-    mean square of the distances along the normals that D makes. Pairs far off lose their weight (Tukey).
+    mean square of the distances along the normals that D makes. Pairs far off lose their weight (Tukey), but those that
+    are ``firm``.
     """
+    judged = np.array([pair not in firm for pair in ties])
     poses = poses.copy()
     free = [int(row) for row in np.flatnonzero(np.isfinite(poses[:, 0, 0])) if row != reference]
     column = {row: 6 * at for at, row in enumerate(free)}
@@ -90,8 +157,8 @@ def consistent_poses(
         linear = [_linearised(tie, poses[a], poses[b]) for (a, b), tie in ties.items()]
         squares = [error @ tie.information @ error for (error, _), tie in zip(linear, ties.values(), strict=True)]
         left = np.sqrt(np.maximum(squares, 0.0))
-        cut = 4.685 * 1.4826 * max(float(np.median(left)), 1e-6)
-        weights = np.clip(1 - (left / cut) ** 2, 1e-3, 1.0) ** 2
+        cut = 4.685 * 1.4826 * max(float(np.median(left[judged])), 1e-6)
+        weights = np.where(judged, np.clip(1 - (left / cut) ** 2, 1e-3, 1.0) ** 2, 1.0)
         matrix, right = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
         for (pair, tie), (error, jacobian), weight in zip(ties.items(), linear, weights, strict=True):
             pull = weight * jacobian.T @ tie.information

@@ -1,8 +1,10 @@
 """Many views of one part that rests: every view registered onto others, and one pose for each that all pairs agree on.
 
-Pairs of views are registered as ``scan_registration`` does it, nothing known of the poses. A wrong pair shows in that
-going round three views does not end where it began, and is dropped. The poses of all views then follow from one least
-squares over the pairs, each with the information its surfaces hold: the refinement over all overlapping views at once.
+Pairs of views are registered as ``scan_registration`` does it, nothing known of the poses: few of them, until every
+view closes a loop of three with others. A wrong pair shows in that going round three views does not end where it began,
+and is dropped. The loops tell about where each view lies, and from there all other pairs are refined by ICP alone, in a
+fraction of the time. The poses of all views then follow from one least squares over the pairs, each with the
+information its surfaces hold: the refinement over all overlapping views at once.
 """
 
 from __future__ import annotations
@@ -19,15 +21,7 @@ from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionError
 from grindvision.geometry import check_points, move_points, rigid
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
-from grindvision.vision.registration.free_motions import (
-    HARDLY_KNOWN,
-    motion_name,
-    motion_names,
-    rms_extent,
-    spread_out,
-    weakest_motion,
-)
-from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.free_motions import motion_names, rms_extent
 from grindvision.vision.registration.scan_registration import (
     MIN_POINTS,
     RegisterOptions,
@@ -38,11 +32,14 @@ from grindvision.vision.registration.scan_registration import (
 from grindvision.vision.registration.view_poses import (
     Pair,
     Tie,
+    closed_ties,
     consistent_poses,
     largest_group,
     open_loops,
     poses_along_pairs,
+    triangle_pairs,
 )
+from grindvision.vision.registration.view_ties import MORE_RELIEF, loop_limits, refined_pairs, tie_of
 from grindvision.vision.surface.scan import choose_resolution
 from grindvision.vision.surface.surfels import build_surfels
 
@@ -56,13 +53,11 @@ MIN_STIFFNESS = 0.03
 #: does. Of measured planes and spheres, 0.002 at most do, by the errors of their normals.
 MIN_RESISTING, RESISTS = 0.01, 0.1
 
-MORE_RELIEF = "show a part with relief on all sides, or use another target"
-
-#: Going round three views must end nearer than this fraction of the part's extent to where it began.
-CLOSED = 0.03
-
 #: Pairs tried before views that leave all of them open are refused.
 FEWEST_TRIED = 6
+
+#: Further pairs that are registered for a view that is in no loop that closes.
+ADDED = 2
 
 
 @by_content
@@ -127,12 +122,10 @@ def register_views(
         raise InputError(f"{len(clouds)} views; give three at least")
     views = [without_strays(check_points(one, name, MIN_POINTS), name) for one, name in zip(clouds, names, strict=True)]
     _refuse_free(views, names)
-    wanted = list(combinations(range(len(views)), 2) if pairs is None else pairs)
-    ties, refused = _registered_pairs(views, names, wanted, seed, finished)
-    extent = float(np.median([rms_extent(view) for view in views]))
-    for pair in open_loops(ties, CLOSED * extent, extent, [view.mean(axis=0) for view in views]):
-        refused[pair] = "does not agree with the other pairs"
-        del ties[pair]
+    by_distance = sorted(combinations(range(len(views)), 2), key=lambda pair: pair[1] - pair[0])
+    wanted = list(by_distance if pairs is None else pairs)
+    told = _Told(len(wanted), finished)
+    ties, refused = _registered_pairs(views, names, wanted, seed, told)
     chosen = largest_group(ties, len(views))
     if len(chosen) < 3:
         reasons = "; ".join(dict.fromkeys(refused.values())) or "no more pairs were given"
@@ -147,17 +140,45 @@ def register_views(
     poses = poses_along_pairs(ties, reference, len(views))
     middle = np.mean([move_points(poses[row], views[row]).mean(axis=0) for row in chosen], axis=0)
     poses, left = consistent_poses(ties, rigid(None, -middle) @ poses, reference)
+    others = [pair for pair in wanted if pair not in ties and pair not in refused and set(pair) <= set(chosen)]
+    if others:
+        more, unused = refined_pairs(views, others, poses, finished=told.one_more)
+        ties, refused = ties | more, refused | unused
+        poses, left = consistent_poses(ties, poses, reference)
     return ViewRegistration(poses, reference, tuple(ties), left, refused)
 
 
+class _Told:
+    """Tells ``finished`` how many of all pairs are done."""
+
+    def __init__(self, count: int, finished: Callable[[int, int], None] | None) -> None:
+        self.done, self.count, self.finished = 0, count, finished
+
+    def one_more(self) -> None:
+        self.done += 1
+        if self.finished is not None:
+            self.finished(self.done, self.count)
+
+
+def _open(ties: dict[Pair, Tie], views: Sequence[Floats]) -> list[Pair]:
+    """Pairs most of whose loops of three do not close."""
+    return open_loops(ties, *loop_limits(views))
+
+
+def _closed(ties: dict[Pair, Tie], views: Sequence[Floats]) -> tuple[list[Pair], list[int]]:
+    """Pairs in loops that close, of three or more, and the most views that these tie together."""
+    opened = _open(ties, views)
+    closed = closed_ties({pair: tie for pair, tie in ties.items() if pair not in opened}, *loop_limits(views))
+    return closed, largest_group(closed, len(views)) if closed else []
+
+
 def _registered_pairs(
-    views: Sequence[Floats],
-    names: Sequence[str],
-    wanted: Sequence[Pair],
-    seed: int,
-    finished: Callable[[int, int], None] | None,
+    views: Sequence[Floats], names: Sequence[str], wanted: Sequence[Pair], seed: int, told: _Told
 ) -> tuple[dict[Pair, Tie], dict[Pair, str]]:
-    """Every pair that could be registered, and why the others could not.
+    """Pairs that were registered, nothing known of their poses, and why others could not be.
+
+    Few pairs are tried first (``triangle_pairs``); while a view is in no loop that closes, those next in ``wanted`` for
+    it, and so up to all.
 
     Raises:
         AmbiguousError: more pairs leave a motion free than do not.
@@ -165,42 +186,50 @@ def _registered_pairs(
     ties: dict[Pair, Tie] = {}
     refused: dict[Pair, str] = {}
     free: list[str] = []
-    for done, (target, source) in enumerate(wanted, start=1):
-        try:
-            found = _registered(views[source], views[target], seed)
-            ties[target, source] = _tie(found.fine, views[source])
-        except GrindvisionError as refusal:
-            refused[target, source] = str(refusal)
-            if isinstance(refusal, AmbiguousError):
-                free.append(f"{names[source]} on {names[target]}: {refusal}")
-        if finished is not None:
-            finished(done, len(wanted))
-        if done >= FEWEST_TRIED and len(free) == done:
+    trying = triangle_pairs(wanted, len(views)) if wanted else []
+    while trying:
+        for target, source in trying:
+            try:
+                ties[target, source] = tie_of(_registered(views[source], views[target], seed).fine, views[source])
+            except GrindvisionError as refusal:
+                refused[target, source] = str(refusal)
+                if isinstance(refusal, AmbiguousError):
+                    free.append(f"{names[source]} on {names[target]}: {refusal}")
+            told.one_more()
+            tried = len(ties) + len(refused)
+            if tried >= FEWEST_TRIED and len(free) == tried:
+                break
+        if tried >= FEWEST_TRIED and len(free) == tried:
             break
+        trying = _next_pairs(ties, refused, wanted, views)
     if len(free) > len(ties):
         tried = len(ties) + len(refused)
         raise AmbiguousError(f"the part leaves its pose open in {len(free)} of {tried} pairs tried; {free[0]}")
+    closed, group = _closed(ties, views)
+    opened = _open(ties, views) if len(group) < len(views) else [pair for pair in ties if pair not in closed]
+    for pair in opened:
+        refused[pair] = "does not agree with the other pairs"
+        del ties[pair]
     return ties, refused
+
+
+def _next_pairs(
+    ties: dict[Pair, Tie], refused: dict[Pair, str], wanted: Sequence[Pair], views: Sequence[Floats]
+) -> list[Pair]:
+    """Pairs to register next: none where every view is in loops that close and hang together, else ``ADDED`` for each
+    view that is not."""
+    _, group = _closed(ties, views)
+    untried = [pair for pair in wanted if pair not in ties and pair not in refused]
+    chosen: list[Pair] = []
+    for row in set(range(len(views))) - set(group):
+        chosen += [pair for pair in untried if row in pair][:ADDED]
+    return [pair for pair in untried if pair in chosen]
 
 
 def _registered(source: Floats, target: Floats, seed: int) -> Registration:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GrindvisionWarning)  # strays are told once a view, not once a pair
         return register(source, target, RegisterOptions(seed, np.zeros(3), np.zeros(3)))
-
-
-def _tie(fine: FineRegistration, source: Floats) -> Tie:
-    """What a registration of a source (N, 3) says about its pair.
-
-    Raises:
-        AmbiguousError: the surfaces that meet hardly hold a motion, by the pose's covariance; names it.
-    """
-    sigma, moved = weakest_motion(fine, spread_out(source))
-    extent = rms_extent(source)
-    if sigma > HARDLY_KNOWN * extent:
-        name = motion_name(moved, fine.T_target_source, source.mean(axis=0), extent)
-        raise AmbiguousError(f"free motion: {name} is within one sigma of the registration; {MORE_RELIEF}")
-    return Tie(fine.T_target_source, fine.centre_mm, fine.information / np.trace(fine.information[:3, :3]))
 
 
 def _refuse_free(views: Sequence[Floats], names: Sequence[str]) -> None:
