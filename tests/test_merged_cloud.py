@@ -11,6 +11,7 @@ from grindvision.cli.camera_pose import camera_content
 from grindvision.clouds import read_cloud, write_ply
 from grindvision.files import write_json
 from grindvision.geometry import inverse, move_points, rigid, rotation_about
+from grindvision.vision.surface.facing_side import faces_with, viewpoint_by_normals
 from tests.grinding_scene import arc_bead, plate_height
 from tests.groove_scenes import vee
 from tests.hand_eye_scene import TARGET, X, looking_poses
@@ -66,3 +67,34 @@ def test_groove_finds_the_seam_in_a_merged_cloud(tmp_path):
     assert np.ptp(root[:, 0]) > 150
     labels = np.load(tmp_path / "out" / "labels.npy")
     assert len(labels) == len(read_cloud(cloud, "mm").points)
+
+
+def test_normals_of_the_file_tell_the_side_where_nothing_else_does(tmp_path, capsys):
+    """A corner that opens downwards: without a word the side that looks up is taken."""
+    rng, n = np.random.default_rng(2), 9000
+    along, across = rng.uniform(-80, 80, 2 * n), rng.uniform(0, 60, 2 * n)
+    first = np.arange(2 * n) < n
+    corner = np.column_stack([along, np.where(first, across, 0.0), np.where(first, 0.0, -across)])
+    normals = np.where(first[:, None], [0.0, 0, -1], [0.0, 1, 0])
+    points = corner + TARGET + NOISE_MM * rng.normal(size=corner.shape)
+    for name, given, sign in (("without", None, -1), ("with", normals, 1), ("away", -normals, -1)):
+        write_ply(tmp_path / f"{name}.ply", points, given)
+        assert main(["groove", str(tmp_path / f"{name}.ply"), "-o", str(tmp_path / name)]) == 0
+        assumed = "from which side" in capsys.readouterr().err
+        table = np.genfromtxt(tmp_path / name / "trajectory.csv", delimiter=",", names=True)
+        assert assumed == (given is None)
+        assert sign * np.mean(table["ny"] - table["nz"]) > 1.2
+        if name == "with":
+            assert np.abs(columns(tmp_path / name / "trajectory.csv")[:, 1:] - TARGET[1:]).max() < 0.5
+
+
+def test_a_side_is_told_only_by_normals_that_one_place_faces():
+    rng = np.random.default_rng(3)
+    rays = rng.normal(size=(2000, 3))
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    cap = rays[rays[:, 0] > 0.2]
+    seen = viewpoint_by_normals(500 + 40 * cap, cap)
+    assert ((seen - (500 + 40 * cap)) * cap).sum(axis=1).min() > 0 and seen[0] > 1000
+    assert viewpoint_by_normals(500 + 40 * rays, rays) is None
+    assert viewpoint_by_normals(500 + 40 * cap, cap * rng.choice([-1.0, 1.0], (len(cap), 1))) is None
+    assert faces_with(cap, cap, cap[:20], cap[:20]) == 1.0 and faces_with(cap, cap, cap[:20], -cap[:20]) == 0.0

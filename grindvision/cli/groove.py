@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import where_it_stood
@@ -42,7 +43,10 @@ if TYPE_CHECKING:
     from grindvision.motion.trajectory import Trajectory
     from grindvision.vision.seam.joints import Seam
     from grindvision.vision.seam.seam_path import SeamPath
-    from grindvision.vision.seam.weld import Weld
+    from grindvision.vision.seam.weld import TraceWeldOptions, Weld
+
+#: What ``trace_weld`` says where it took the side that looks up.
+SIDE_ASSUMED = "nothing tells from which side"
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
 STEADY_MM = 8.0
@@ -145,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
     from grindvision.cli.pictures import drawing
     from grindvision.clouds import usable_rows
     from grindvision.files import write_text, write_whole
-    from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
+    from grindvision.vision.seam.weld import TraceWeldOptions
 
     draw = drawing("groove_picture")
     job = robot_job(options)
@@ -164,7 +168,7 @@ def run(options: argparse.Namespace) -> int:
         settings = TraceWeldOptions(
             options.waypoints, options.variant, options.viewpoint, None, options.width, options.joint
         )
-        weld = trace_weld(points, settings)
+        weld = _traced(points, None if cloud.normals is None or cloud.mesh else cloud.normals[rows], settings)
         labels = np.zeros(len(cloud), dtype=bool)
         labels[rows] = weld.labels
         labels[copies] = labels[originals]
@@ -211,6 +215,28 @@ def _write_programmes(
     for told, motion in zip(results["welding"]["runs"], motions, strict=True):
         told["clearance_mm"], told["position_error_mm"] = motion.clearance.min_mm, motion.path.position_error_mm.max()
     return scripts[0], welding
+
+
+def _traced(points: np.ndarray, normals: np.ndarray | None, settings: TraceWeldOptions) -> Weld:
+    """The seams of points (N, 3), mm; where nothing else tells from which side they were scanned, the file's normals
+    (N, 3) do, each turned to its camera."""
+    from grindvision.vision.seam.weld import trace_weld
+    from grindvision.vision.surface.facing_side import MIN_FACING, faces_with, viewpoint_by_normals
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        weld = trace_weld(points, settings)
+    assumed = [one for one in told if str(one.message).startswith(SIDE_ASSUMED)]
+    if assumed and normals is not None:
+        viewpoint = viewpoint_by_normals(points, normals)
+        if viewpoint is not None:
+            return trace_weld(points, replace(settings, viewpoint_mm=viewpoint))
+        path = weld.paths[0]
+        if faces_with(points, normals, path.points, path.normals) >= MIN_FACING:
+            told = [one for one in told if one not in assumed]
+    for one in told:
+        warnings.warn(one.message, one.category, stacklevel=2)
+    return weld
 
 
 def _torch(path: SeamPath, options: argparse.Namespace, job: RobotJob | None) -> Trajectory:

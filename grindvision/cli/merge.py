@@ -18,8 +18,9 @@ there says how good arm and hand-eye are. Then the views are fitted to each othe
 together stay where the arm puts them in the mean: say --as-posed to leave them where the poses put them.
 
 results in DIR:
-  merged.ply       all points in one frame, with normals turned to the camera of their view, for detect and groove:
-                   they take --scanner-pose with the identity, and groove --base controller where it has a --robot
+  merged.ply       all points in one frame, for detect and groove: they take --scanner-pose with the identity, and
+                   groove --base controller where it has a --robot; with normals turned to the camera of each view, by
+                   which groove tells the side where nothing else does
   report.png       did it work? the views, a colour each, and how far each pair is apart where it overlaps
   report.json      meeting_mm: by the poses, the median, every pair, the worst one; fitted_mm: after the views were
                    fitted to each other; timings, versions, parameters; written last

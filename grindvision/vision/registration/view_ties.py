@@ -56,6 +56,7 @@ def refined_pairs(
     views: Sequence[Floats],
     pairs: Sequence[Pair],
     poses: Floats,
+    seed: int = 0,
     held: bool = True,
     max_mm: float | None = None,
     finished: Callable[[], None] = lambda: None,
@@ -63,6 +64,7 @@ def refined_pairs(
     """Pairs (target, source) of views (M_i, 3), mm, refined by ICP alone from known ``poses`` (N, 4, 4) in one frame.
 
     Args:
+        seed: of the random draws.
         held: whether a pair must hold every motion by its planes and curvature. Rims, which would hold some more, cost
             more than all else.
         max_mm: how far a pair may end from the known poses; as loops of three when left out.
@@ -87,7 +89,7 @@ def refined_pairs(
         start = inverse(poses[target]) @ poses[source]
         size = coarser(sizes[source], sizes[target])
         try:
-            fine = refine_from(scan(source, size), scan(target, size), start, np.random.default_rng(0))
+            fine = refine_from(scan(source, size), scan(target, size), start, np.random.default_rng(seed))
             tie = tie_of(fine, views[source], held)
             moved = moved_mm(fine.T_target_source @ inverse(start), move_points(start, middles[source]), extent)
             if fine.overlap < MIN_OVERLAP:

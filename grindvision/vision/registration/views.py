@@ -142,7 +142,7 @@ def register_views(
     poses, left = consistent_poses(ties, rigid(None, -middle) @ poses, reference)
     others = [pair for pair in wanted if pair not in ties and pair not in refused and set(pair) <= set(chosen)]
     if others:
-        more, unused = refined_pairs(views, others, poses, finished=told.one_more)
+        more, unused = refined_pairs(views, others, poses, seed, finished=told.one_more)
         ties, refused = ties | more, refused | unused
         poses, left = consistent_poses(ties, poses, reference)
     return ViewRegistration(poses, reference, tuple(ties), left, refused)
