@@ -33,6 +33,7 @@ from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.groove_noise import stands_out
 from grindvision.vision.seam.joint_names import BEVEL, BUTT, FAMILIES, LAP, OUTSIDE, kinds_of
 from grindvision.vision.seam.joints import Seam
+from grindvision.vision.seam.point_density import camera_place
 from grindvision.vision.seam.seam_kinds import BEVEL_SKEW, groove_seam, skew_of
 from grindvision.vision.seam.section_shape import section_shape, with_shape
 from grindvision.vision.seam.surface_seams import CELL_SPACINGS, runs_along, surface_seams
@@ -138,10 +139,12 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
         sure = [_upright(one, cloud, spacing) for one in sure]
     groove_seams = [groove_seam(one.groove) for one in sure]
     others: list[Seam] = []
+    assumed = False
     if set(wanted) - set(FAMILIES["groove"]):
-        for facing in _facings(sides, viewpoint_mm):
+        for facing in _facings(view, viewpoint_mm):
             others = surface_seams(cloud, sides[0][0], facing, spacing, groove_seams, wanted)
             if others:
+                assumed = facing is None
                 break
     hollows = [one.groove for one in doubtful if joint != "groove" and one.bends_on]
     doubtful = [one for one in doubtful if one.groove not in hollows and not _is_corner(one, others, spacing)]
@@ -159,7 +162,7 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
         rank[seam.members] = number
     weaker = tuple(seam for group in classes[1:] for seam in group)
     return SeamDetection(
-        tuple(seams), rank.reshape(view.shape), spacing, weaker, len(sides) > 1 and bool(others), grooves, tuple(judged)
+        tuple(seams), rank.reshape(view.shape), spacing, weaker, assumed, grooves, tuple(judged)
     )
 
 
@@ -232,11 +235,15 @@ def _with_sigma(groove: DetectedGroove, spacing: float) -> DetectedGroove:
     return replace(groove, root_deviation_mm=np.hypot(groove.root_deviation_mm, UPRIGHT_SIGMA_SPACINGS * spacing))
 
 
-def _facings(sides: list[list[Floats]], viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
-    """Where normals are turned to: a viewpoint (3,), or None for the side that looks up and then the other one."""
-    if viewpoint_mm is not None or len(sides) == 1:
+def _facings(view: SeenCloud, viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
+    """Where normals are turned to: a viewpoint (3,), one that the density of the points tells, or None for the side that
+    looks up."""
+    if viewpoint_mm is not None or len(view.sides) == 1:
         yield np.zeros(3) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
         return
+    told = camera_place(view.points)
+    if told is not None:
+        yield told
     yield None
 
 
