@@ -24,6 +24,7 @@ from grindvision.vision.seam.joint_names import (
     V_GROOVE,
 )
 from grindvision.vision.seam.joints import Interruption, Seam
+from grindvision.vision.seam.seam_sight import narrow_face
 from grindvision.vision.seam.step_fit import MIN_WALL_POINTS, EdgeFit
 from grindvision.vision.surface.surfels import Surfels
 
@@ -126,6 +127,9 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         kind, evidence = _concave_kind(fit, shapes, (surfels, normals, towards), angle)
         if kind == LAP:
             step = fit.legs_mm.min(axis=0)
+    band = narrow_face(
+        fit.faces.normal[:, fit.shown], fit.legs_mm[:, fit.shown], fit.root[fit.shown], surfels.grid.size_mm, towards
+    )
     return Seam(
         kind,
         evidence,
@@ -145,8 +149,8 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         _interruptions(fit.shown, fit.curve.step_mm),
         fit.closed,
         deviations=turn_deviations(fit, surfels.grid.size_mm),
-        doubts=_undecided(kind, shapes) + _unlike(fit, concave),
-        glancing=_facing(fit) < MIN_SURE_FACING,
+        doubts=_undecided(kind, shapes) + _unlike(fit, concave) + ((band,) if band else ()),
+        glancing=_facing(fit) < MIN_SURE_FACING or bool(band),
     )
 
 

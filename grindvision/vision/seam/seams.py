@@ -279,15 +279,15 @@ def _is_scanty(one: Judged, spacing: float) -> bool:
 
 
 def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
-    """Seams of the kinds wanted: grooves and concave corners, then steps, gaps and glancing ones, then outside corners.
+    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, then outside corners, then glancing ones.
 
     Grooves of which little is seen (``scanty``) count as the second where there are others of the first.
     """
-    groups: list[list[Seam]] = [[], [], []]
+    groups: list[list[Seam]] = [[], [], [], []]
     for seam in seams:
         if seam.kind in wanted:
-            unsure = seam.kind in (LAP, BUTT) or seam.glancing
-            groups[2 if seam.kind == OUTSIDE else 1 if unsure else 0].append(seam)
+            rank = 3 if seam.glancing else 2 if seam.kind == OUTSIDE else 1 if seam.kind in (LAP, BUTT) else 0
+            groups[rank].append(seam)
     groups[1 if groups[0] else 0] += [seam for seam in scanty if seam.kind in wanted]
     groups[0] = [s for s in groups[0] if s.groove] + sorted(
         (s for s in groups[0] if not s.groove), key=lambda seam: -seam.length_mm
@@ -304,7 +304,7 @@ def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> 
         groups[1] += weak
         groups[0] = [seam for seam in groups[0] if seam not in weak]
     for group in groups[1:]:
-        group.sort(key=lambda seam: (seam.glancing, seam.kind != BUTT, -seam.length_mm))
+        group.sort(key=lambda seam: (seam.kind != BUTT, -seam.length_mm))
     return [group for group in groups if group]
 
 

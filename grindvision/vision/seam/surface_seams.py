@@ -23,6 +23,7 @@ from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.pair_kernels import CONCAVE, CONVEX, STEP
 from grindvision.vision.seam.seam_course import beyond_ends_mm, left_out_mm
 from grindvision.vision.seam.seam_kinds import corner_seam, cut_short, named_edges, plausible
+from grindvision.vision.seam.seam_sight import with_sight
 from grindvision.vision.seam.seam_tracing import trace_curves
 from grindvision.vision.seam.step_fit import fit_step
 from grindvision.vision.seam.surface_pairs import SurfacePairs, find_pairs
@@ -76,7 +77,7 @@ def surface_seams(
         kinds = (CONCAVE, CONVEX) if OUTSIDE in wanted else (CONCAVE,)
         for kind in kinds:
             found += _corners(cloud, scene, pairs.of(kind), scale, [*known, *found], (kind == CONCAVE, factor > 1))
-        found += _steps(cloud, pairs.of(STEP), scale, [*known, *found])
+        found += [with_sight(one, cloud, towards) for one in _steps(cloud, pairs.of(STEP), scale, [*known, *found])]
         if known or sum(seam.length_mm for seam in _sure(found)) > ENOUGH * diagonal:
             break
     if BUTT in wanted and not known and not _sure(found):
@@ -129,7 +130,7 @@ def _corners(
             continue
         seam = corner_seam(fit, *scene[:2], concave, scene[2])
         if seam.kind == LAP:
-            seam = _as_step(cloud, fit, scale) or seam
+            seam = with_sight(_as_step(cloud, fit, scale) or seam, cloud, scene[2])
         if not runs_along(seam.root, [*known, *found], 1.5 * scale.cell):
             found.append(seam)
             fits.append(fit)
