@@ -31,6 +31,8 @@ LOCAL = 3.0
 MAX_SLOPE_OFF = 0.6
 #: A face bends if a parabola leaves less than this fraction of what a straight line leaves.
 CLEARLY_BENT = 0.9
+#: A rounded corner is left out up to this part of the reach of the fit.
+MAX_ROUNDING = 0.45
 #: What a fit over too much of a bent surface misses shows when it is fitted over this part of it.
 NARROW = 0.75
 
@@ -47,7 +49,7 @@ class Scale:
     @property
     def near(self) -> float:
         """Faces are fitted from here on: what is nearer may be a bead or a blurred corner."""
-        return max(1.5 * self.spacing + 2.0 * self.noise, min(self.rounding, 0.4 * self.far))
+        return max(1.5 * self.spacing + 2.0 * self.noise, min(self.rounding, MAX_ROUNDING * self.far))
 
     @property
     def far(self) -> float:

@@ -21,6 +21,12 @@ LEG_COVERAGE = 0.3
 #: A camera measures no surface that it sees flatter than this (83 deg of incidence), the cosine; what seems to be one
 #: are pixels mixed from a near and a far body, which lie along the rays.
 MIN_FACING = 0.12
+#: A ring about the root is rounded where the points lie off the faces, in the median, by this much of the faces' scatter
+#: and of a cell.
+ROUNDED_NOISE, ROUNDED_CELLS = 0.5, 0.015
+#: Faces that bulge by more than this over their reach, in cells, as tubes do, are followed by no parabola far: they are
+#: carried on over this part of their reach at most.
+MAX_BULGE_CELLS, BENT_ROUNDING = 0.25, 0.22
 #: A face seen that flat holds less than this fraction of the other one's points.
 THIN = 0.5
 
@@ -51,25 +57,37 @@ def leg_lengths(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, 
     return legs
 
 
-def rounding_mm(
-    points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, displacement: Floats, scale: Scale
-) -> float:
-    """Radius about the root, mm, within which the points miss both faces: a bead, a rounded or a blurred corner."""
+def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, fitted: FaceFit, scale: Scale) -> float:
+    """Radius about the root, mm, within which the points lie off both faces, which ``fitted`` shows as they are taken
+    now: a bead, a rounded or a blurred corner.
+
+    The faces are fitted to what lies beyond the widest rounding and carried on to the root: fitted to the rounding as
+    well they would bend along with it.
+    """
+    bulge = -float(np.median(fitted.coefficients[..., 2], axis=1).min()) * scale.far**2
+    reach = BENT_ROUNDING * scale.far if bulge > MAX_BULGE_CELLS * scale.cell else scale.far
+    scale = replace(scale, rounding=reach)
+    sides = fit_faces(points, curve, faces, scale)
+    if sides is None:
+        return 0.0
+    displacement, _ = intersections(curve, faces, sides)
     _, station, offset = nearest_stations(points, curve, scale.far)
-    offset = offset - displacement[station, :1] * curve.across[station] - displacement[station, 1:] * curve.up[station]
+    shift = displacement[:, :1] * curve.across + displacement[:, 1:] * curve.up
     outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
     height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
-    slope = sides.coefficients[:, station, 1]
-    bend = sides.coefficients[:, station, 2]
-    off = np.abs(height - (slope + bend * outward) * outward)
-    off = np.where(outward > -0.2 * scale.cell, off, np.inf).min(axis=0)
-    distance = np.linalg.norm(offset, axis=1)
+    level, slope, bend = np.moveaxis(sides.coefficients[:, station], 2, 0)
+    off = height - level - (slope + bend * outward) * outward
+    root = np.einsum("kij,ij->ki", faces.outward[:, station], shift[station])
+    off = np.where(outward > root - 0.2 * scale.cell, off, np.inf)
+    nearer = np.abs(off).argmin(axis=0)
+    off = off[nearer, np.arange(len(station))]
+    distance = np.linalg.norm(offset - shift[station], axis=1)
     width = max(scale.spacing, scale.far / 24)
-    limit = 2.5 * float(sides.noise.max()) + 0.01 * scale.cell
+    limit = ROUNDED_NOISE * float(sides.noise.max()) + ROUNDED_CELLS * scale.cell
     radius = 0.0
-    for ring in range(int(0.6 * scale.far / width)):
+    for ring in range(int(scale.near / width)):
         inside = (distance >= ring * width) & (distance < (ring + 1) * width)
-        if inside.sum() > 10 and np.median(off[inside]) > limit:
+        if inside.sum() > 10 and np.abs(np.median(off[inside])) > limit:
             radius = (ring + 1) * width
     return radius
 

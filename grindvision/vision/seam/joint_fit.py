@@ -38,6 +38,8 @@ Flags = NDArray[np.bool_]
 MIN_PASSES, MAX_PASSES = 4, 14
 #: A line that no longer grows is fitted so many times more: while it grows it is stiff, and its ends are too straight.
 PASSES_AT_REST = 2
+#: The rounding of the corner is measured after these passes.
+ROUNDING_PASSES = 1, 3
 #: The points around the curve are gathered anew after so many passes, so many cells to all sides.
 NEAR_PASSES, NEAR_CELLS = 3, 21.0
 #: While a seam grows its line is stiffer, in cells, so that what bends an end does not lead it astray.
@@ -165,8 +167,8 @@ def _fit_along(
         last = number == MAX_PASSES - 1 or (number >= MIN_PASSES and at_rest >= PASSES_AT_REST)
         growing = abs(grown) > 0.5 * scale.cell
         at_rest = 0 if growing else at_rest + 1
-        if number == 1:
-            scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, displacement, scale))
+        if number in ROUNDING_PASSES:
+            scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, scale))
         curve, faces, fitted = _cut(curve, faces, fitted, here)
         displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
