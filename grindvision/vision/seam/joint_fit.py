@@ -67,7 +67,8 @@ class JointFit:
     seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
     already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of the angle at which the
     flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of themselves moved the root
-    by, which is done: see ``narrower_meeting``.
+    by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) the same for faces fitted right up to the root, where
+    they take in the rounding of a corner, and ``bend_per_mm`` is that of those faces.
     """
 
     curve: SeamCurve
@@ -85,6 +86,7 @@ class JointFit:
     sharpness: float
     facing: Floats
     missed_mm: Floats
+    swayed_mm: Floats
     closed: bool = False
 
     @property
@@ -241,6 +243,11 @@ def _result(
     off = np.linalg.norm(displacement - smooth, axis=1)[shown] / np.sqrt(2)
     inflation = max(1.0, float(MAD_TO_STD * np.median(off) / max(np.median(level[shown]), 1e-9)))
     bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
+    near, swayed = sides, bent
+    if scale.rounding > 0:
+        whole = replace(scale, rounding=0.0)
+        near = fit_faces(points, curve, faces, whole) or sides
+        swayed = narrower_meeting(points, curve, faces, intersections(curve, faces, near)[0], weight, whole)
     smooth = smooth + bent
     root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
@@ -252,9 +259,9 @@ def _result(
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     result = JointFit(
         moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
-        turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(sides.coefficients[..., 2], axis=1),
+        turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(near.coefficients[..., 2], axis=1),
         np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards),
-        np.linalg.norm(bent, axis=1), closed,
+        np.linalg.norm(bent, axis=1), np.linalg.norm(swayed, axis=1), closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
@@ -313,5 +320,5 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
         sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
         faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
         dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
-        facing=fit.facing[here], missed_mm=fit.missed_mm[here],
+        facing=fit.facing[here], missed_mm=fit.missed_mm[here], swayed_mm=fit.swayed_mm[here],
     )  # fmt: skip

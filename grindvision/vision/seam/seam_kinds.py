@@ -95,7 +95,8 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
         return False
     if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
         return False
-    if np.median(fit.missed_mm[shown]) > MAX_MISSED_CELLS * scale.cell and bend > 0 and strongest < MOST_BENT_RAD:
+    moved = max(float(np.median(fit.missed_mm[shown])), float(np.median(fit.swayed_mm[shown])))
+    if moved > MAX_MISSED_CELLS * scale.cell and bend > 0 and strongest < MOST_BENT_RAD:
         return False
     if fit.noise_mm.max() > 2.5 * scale.noise + MAX_SCATTER_CELLS * scale.cell:
         return False
