@@ -21,7 +21,7 @@ LEG_COVERAGE = 0.3
 #: A camera measures no surface that it sees flatter than this (83 deg of incidence), the cosine; what seems to be one
 #: are pixels mixed from a near and a far body, which lie along the rays.
 MIN_FACING = 0.12
-#: A ring about the root is rounded where the points lie off the faces, in the median, by this much of the faces' scatter
+#: A ring about the root is rounded where the points lie off the faces, in the median, by this much of their scatter
 #: and of a cell.
 ROUNDED_NOISE, ROUNDED_CELLS = 0.5, 0.015
 #: Faces that bulge by more than this over their reach, in cells, as tubes do, are followed by no parabola far: they are

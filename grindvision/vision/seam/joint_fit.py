@@ -67,8 +67,8 @@ class JointFit:
     seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
     already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of the angle at which the
     flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of themselves moved the root
-    by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) the same for faces fitted right up to the root, where
-    they take in the rounding of a corner, and ``bend_per_mm`` is that of those faces.
+    by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) is the same for faces fitted right up to the root,
+    which take in the rounding of a corner, and whose is ``bend_per_mm``.
     """
 
     curve: SeamCurve

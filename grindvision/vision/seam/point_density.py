@@ -164,7 +164,7 @@ def _followed(places: Floats, normals: Floats, level: Floats, eye: Floats) -> _P
             damping *= 10
     if not np.isfinite(state).all():
         return None
-    return _Place(state[:3], np.linalg.pinv(normal)[:3, :3], scatter, float(unlikely))
+    return _Place(state[:3], np.asarray(np.linalg.pinv(normal)[:3, :3], dtype=float), scatter, float(unlikely))
 
 
 def _axis(state: Floats) -> tuple[Floats, Floats]:

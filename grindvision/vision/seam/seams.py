@@ -161,9 +161,7 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
     for number, seam in reversed(list(enumerate(seams))):
         rank[seam.members] = number
     weaker = tuple(seam for group in classes[1:] for seam in group)
-    return SeamDetection(
-        tuple(seams), rank.reshape(view.shape), spacing, weaker, assumed, grooves, tuple(judged)
-    )
+    return SeamDetection(tuple(seams), rank.reshape(view.shape), spacing, weaker, assumed, grooves, tuple(judged))
 
 
 def _is_known(one: Judged, others: list[Judged]) -> bool:
@@ -236,8 +234,8 @@ def _with_sigma(groove: DetectedGroove, spacing: float) -> DetectedGroove:
 
 
 def _facings(view: SeenCloud, viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
-    """Where normals are turned to: a viewpoint (3,), one that the density of the points tells, or None for the side that
-    looks up."""
+    """Where normals are turned to: a viewpoint (3,), else one that the density of the points tells, else None for the
+    side that looks up."""
     if viewpoint_mm is not None or len(view.sides) == 1:
         yield np.zeros(3) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
         return
@@ -279,7 +277,7 @@ def _is_scanty(one: Judged, spacing: float) -> bool:
 
 
 def _classes(seams: list[Seam], scanty: list[Seam], wanted: tuple[str, ...]) -> list[list[Seam]]:
-    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, then outside corners, then glancing ones.
+    """Seams of the kinds wanted: grooves and concave corners, then steps and gaps, outside corners, glancing ones.
 
     Grooves of which little is seen (``scanty``) count as the second where there are others of the first.
     """
