@@ -22,8 +22,9 @@ LEG_COVERAGE = 0.3
 #: are pixels mixed from a near and a far body, which lie along the rays.
 MIN_FACING = 0.12
 #: A ring about the root is rounded where the points lie off the faces, in the median, by this much of their scatter
-#: and of a cell.
-ROUNDED_NOISE, ROUNDED_CELLS = 0.5, 0.015
+#: and of a cell, and by so many standard deviations of faces carried on so far, whose stations so many cells
+#: apart are independent.
+ROUNDED_NOISE, ROUNDED_CELLS, ROUNDED_SIGMAS, WINDOW_CELLS = 0.5, 0.015, 3.0, 2.4
 #: Faces that bulge by more than this over their reach, in cells, as tubes do, are followed by no parabola far: they are
 #: carried on over this part of their reach at most.
 MAX_BULGE_CELLS, BENT_ROUNDING = 0.25, 0.22
@@ -83,7 +84,9 @@ def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, fitted: FaceFit,
     off = off[nearer, np.arange(len(station))]
     distance = np.linalg.norm(offset - shift[station], axis=1)
     width = max(scale.spacing, scale.far / 24)
-    limit = ROUNDED_NOISE * float(sides.noise.max()) + ROUNDED_CELLS * scale.cell
+    windows = max(curve.length_mm / (WINDOW_CELLS * scale.cell), 1.0)
+    carried = float(np.median(np.sqrt(sides.covariance[..., 0, 0]), axis=1).max()) / np.sqrt(windows)
+    limit = max(ROUNDED_NOISE * float(sides.noise.max()) + ROUNDED_CELLS * scale.cell, ROUNDED_SIGMAS * carried)
     radius = 0.0
     for ring in range(int(scale.near / width)):
         inside = (distance >= ring * width) & (distance < (ring + 1) * width)
