@@ -5,8 +5,10 @@ import pytest
 
 from grindvision.errors import NoGrooveError
 from grindvision.geometry import rotation_about
+from grindvision.vision.seam.face_fit import Scale
 from grindvision.vision.seam.seam_tracing import cut_at_corners
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
+from grindvision.vision.seam.step_fit import fit_step
 from tests.seam_scenes import corner, noisy, plate, step
 
 ABOVE = np.array([0.0, 0.0, 450.0])
@@ -52,6 +54,14 @@ def test_laps_end_at_the_corners_of_their_plate():
         beside = np.abs(np.maximum(x - 60, y - 40))
         assert beside.max() < 2.5 and beside.mean() < 0.8
         assert seam.length_mm == pytest.approx(120 if np.ptp(seam.root[:, 0]) > 100 else 80, abs=5)
+
+
+def test_a_step_is_followed_to_its_ends_from_wherever_it_was_noticed(rng):
+    points = step(rng, length=260.0)
+    path = np.column_stack([np.linspace(-20, -6, 15), np.zeros(15), np.zeros(15)])
+    way, up = np.tile([0.0, -1.0, 0.0], (15, 1)), np.tile([0.0, 0.0, 1.0], (15, 1))
+    fit = fit_step(points, path, way, up, 6.0, Scale(1.0, 4.0, 0.1))
+    assert fit is not None and fit.length_mm > 250
 
 
 def test_a_tube_that_lies_on_a_table_is_no_lap():

@@ -30,7 +30,7 @@ MIN_WALL_POINTS = 0.5
 #: A step goes on while more than this fraction of what lies beside it is up there: beyond a plate's corner it is gone.
 MIN_HIGH = 0.5
 #: Passes of fitting and prolonging: at least, and while the seam still grows.
-MIN_PASSES, MAX_PASSES = 3, 12
+MIN_PASSES, MAX_PASSES = 3, 40
 #: Bins in which the heights beside a gap show whether the surfaces fall towards it.
 FALL_BINS = 10
 #: Rounds of the robust lines, and when a residual no longer counts.
