@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.seams import surface
 from grindvision.errors import GrindvisionWarning, NoGrooveError
 from grindvision.vision.seam.groove import FindGroovesOptions, find_grooves
 from grindvision.vision.seam.groove_diagnostics import judge_groove
@@ -99,3 +100,9 @@ def test_members_are_numbers_of_the_cloud_with_its_empty_pixels():
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_a_sheet_bent_as_narrowly_as_its_noise_allows_is_no_corner(seed):
     assert look_at_bend(15.0, 0.4, 1.0, seed) is None
+
+
+@pytest.mark.parametrize("seed", [80, 83])
+def test_a_turn_that_only_coarse_cells_show_is_a_bend(seed):
+    with pytest.raises(NoGrooveError):
+        find_seams(surface("bend")(seed).points)

@@ -40,7 +40,9 @@ MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
 #: With coarse cells, in which a bend looks sharper than it is, a corner turns by at least this.
 MIN_COARSE_RAD = np.radians(28.0)
 #: One surface bends where next to nothing of the turn is there close to the root, and a face bends the same way by so
-#: much, rad, over a cell. A bead hides the corner too, but the faces beside it are flat, and those of tubes bend away.
+#: much, rad, over a cell, or only coarse cells show a turn. A bead hides the corner too, but the faces beside it are
+#: flat, which finer cells show, and those of tubes bend away.
+MIN_COARSE_SHARPNESS = 0.2
 MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
 MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.25, 0.08
@@ -91,7 +93,7 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
     if strongest < least or turn_deviations(fit, scale.cell) < MIN_DIHEDRAL_SIGMAS:
         return False
     bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
-    if fit.sharpness < MIN_ANY_SHARPNESS and bend > ONE_BEND_RAD:
+    if fit.sharpness < (MIN_ANY_SHARPNESS if bend > ONE_BEND_RAD else MIN_COARSE_SHARPNESS if coarse else 0.0):
         return False
     if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
         return False
