@@ -73,6 +73,11 @@ class Evidence:
         return float(((self.states == IN_FRONT) | (self.states == IN_HOLE)).mean())
 
     @property
+    def in_holes(self) -> float:
+        """Fraction of the surfels that lie in holes of the other scan."""
+        return float((self.states == IN_HOLE).mean())
+
+    @property
     def beside(self) -> float:
         """Fraction of the source's surfels that lie beside the target's outline."""
         return float((self.states[: self.split] == ABSENT).mean())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,9 @@ is: the model's own points are 0.6 apart or nearer, and of a plate's rims at res
 UNLIKE_RAD, ROUGHLY = np.radians(20), 0.4
 """Poses turned from each other by more come to rest at different places; one at which a smaller share of this of the
 surface meets than at the best of them is not likely."""
+
+MIN_HOLES = 0.005
+"""Holes of fewer pixels, as a fraction of those with a depth, leave a pose as it is."""
 
 REFINED, RESTING = 300, 1000
 """Surfels that bring a proposed pose near, and to rest."""
@@ -82,6 +86,24 @@ class PoseJudge:
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
         self._scans = source, target
         self._off: dict[bytes, Floats] = {}
+
+    @property
+    def shows_holes(self) -> bool:
+        """Whether a scan has holes that may be gaps of the scan and not of the part."""
+        holes = (one.image.bridge > 0 for one in (self.source, self.target))
+        filled = (~one.image.empty for one in (self.source, self.target))
+        return any(bool(a.sum() > MIN_HOLES * b.sum()) for a, b in zip(holes, filled, strict=True))
+
+    def without_holes(self) -> PoseJudge:
+        """The same, for scans with gaps where the part has surface: what lies in a hole tells no more than what lies
+        beside the outline."""
+        other = copy(self)
+        other.source, other.target = (
+            one._replace(image=one.image._replace(bridge=np.full_like(one.image.bridge, -np.inf)))
+            for one in (self.source, self.target)
+        )
+        other._judged = {}
+        return other
 
     def axes(self) -> Floats:
         """Columns (3, 3): the ``principal_axes`` of ``points``."""

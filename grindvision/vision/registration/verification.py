@@ -74,6 +74,10 @@ UNDECIDED = 9.0
 MOST_ADDED, MIN_AFTER_REFUSAL = 6, 0.9
 """So many more candidates are brought to rest before a refusal, and only a pose as sure as that comes in its place."""
 
+GAPS = 0.005
+"""Of surfels that agree, so many may lie in holes of the other scan: under a bead the other part may have a hole. Where
+more do, the holes are gaps of a scan, which tell no pose from another."""
+
 NEAR = 6.0
 """Poses apart by less than so many of the least differences (``PoseJudge.differ``) are neighbours."""
 
@@ -89,6 +93,7 @@ class VerifiedPose:
     confidence: float
     rival_motion: str = ""
     mirror: MirrorImage | None = None
+    in_gaps: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.agreement}; confidence {self.confidence:.2f}"
@@ -118,23 +123,48 @@ def choose_pose(
             fits as well (the message names the motion that is free).
     """
     judge = PoseJudge(source, target, rng, sample)
-    candidates = _first_candidates(judge, source, target, poses, tried, rng)
-    try:
-        return _chosen(judge, candidates)
-    except DegenerateError:
-        if not insist:
-            raise
-        others = [*judge.refined_all(face_poses(judge), far=True), *judge.refined_all(poses[tried:])]
-        added = judge.distinct([*candidates, *judge.settled(others, MOST_ADDED)])
-        if all(any(one is old for old in candidates) for one in added):
-            raise
+    searched = []
+    refusal = DegenerateError("no pose was found")
+    for one in [judge, judge.without_holes()] if judge.shows_holes else [judge]:
+        candidates = _first_candidates(one, source, target, poses, tried, rng)
+        searched.append((one, candidates))
         try:
-            found = _chosen(judge, added)
-        except DegenerateError:
-            found = None
-        if found is None or found.confidence < MIN_AFTER_REFUSAL:
-            raise
-        return found
+            found = _chosen(one, candidates)
+        except DegenerateError as error:
+            refusal = error
+            continue
+        if one is not judge:
+            return replace(found, in_gaps=_in_holes(judge, found))
+        if not judge.shows_holes or _in_holes(judge, found) <= GAPS:
+            return found
+    for one, candidates in searched if insist else ():
+        later = _insisted(one, candidates, poses[tried:])
+        if later is None:
+            continue
+        if one is not judge:
+            return replace(later, in_gaps=_in_holes(judge, later))
+        if _in_holes(judge, later) <= GAPS:
+            return later
+    raise refusal
+
+
+def _in_holes(judge: PoseJudge, found: VerifiedPose) -> float:
+    """Fraction of the surfels in the other scan's holes, of those that agree."""
+    seen = judge.evidence(found.registration.T_target_source, None)
+    return seen.in_holes / max(seen.met, 1e-9)
+
+
+def _insisted(judge: PoseJudge, candidates: list[Candidate], poses: Floats) -> VerifiedPose | None:
+    """The best of the candidates and of all other ``poses`` (K, 4, 4) and those of flat faces, where it is sure."""
+    others = [*judge.refined_all(face_poses(judge), far=True), *judge.refined_all(poses)]
+    added = judge.distinct([*candidates, *judge.settled(others, MOST_ADDED)])
+    if all(any(one is old for old in candidates) for one in added):
+        return None
+    try:
+        found = _chosen(judge, added)
+    except DegenerateError:
+        return None
+    return found if found.confidence >= MIN_AFTER_REFUSAL else None
 
 
 def _first_candidates(
