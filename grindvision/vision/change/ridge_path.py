@@ -49,6 +49,9 @@ CREST_QUANTILE, MIN_CREST_CELLS = 0.7, 4.0
 """The crest of a piece whose sections have no ridge (fins, edges) is the mean of the points above this quantile; it
 must be so many cells long."""
 
+ON_TOP = 0.75
+"""Within a cell of a path point a piece is at least so high, of its largest height across it there."""
+
 FIN_CELLS = 0.25
 """A piece whose feet lie within so many cells of its centreline is a fin and has no cross-section."""
 
@@ -107,7 +110,8 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
             if follow is _follow_crest:
                 raise
             continue
-        if lies_on(cluster, path.points) and lies_on(cluster, path.ridge, 2.0):
+        on_piece = lies_on(cluster, path.points) and lies_on(cluster, path.ridge, 2.0)
+        if on_piece and lies_on_top(cluster, path):
             return path
     raise NoPathError(
         f"it stands {cluster.peak_mm:.2f} mm out over {cluster.area_mm2:.3g} mm2 but shows no ridge: every path along"
@@ -120,6 +124,23 @@ def lies_on(cluster: Cluster, places: ArrayLike, cells: float = 1.0) -> bool:
     size = cluster.spacing_mm
     at, _ = nearest(build_cells(cluster.points, size), np.asarray(places, dtype=float), cells * size)
     return bool(np.isfinite(places).all() and (at >= 0).all())
+
+
+def lies_on_top(cluster: Cluster, path: BeadPath) -> bool:
+    """Whether the piece is about as high at each path point as anywhere across it there: sections of which one flank
+    alone is shown have no top, and the ridge stays on the flank."""
+    size = cluster.spacing_mm
+    for place in path.points:
+        away = np.linalg.norm(path.ridge - place, axis=1)
+        at = int(np.clip(np.argmin(away), 1, len(path.ridge) - 2))
+        along = path.ridge[at + 1] - path.ridge[at - 1]
+        offsets = cluster.points - place
+        distances = np.linalg.norm(offsets, axis=1)
+        across = (np.abs(offsets @ along) < size * np.linalg.norm(along)) & (distances < max(path.width_mm, 2 * size))
+        near = distances < size
+        if near.any() and cluster.signed_mm[near].max() < ON_TOP * cluster.signed_mm[across].max():
+            return False
+    return True
 
 
 def _refuse_face(cluster: Cluster, width: float) -> None:

@@ -51,6 +51,12 @@ def warn_of_findings(
             " say; scan more of the part, or a side that fixes it there"
         )
     findings = [*_findings_of_mirror(coarse, names), *filter(None, [held])]
+    if coarse.in_gaps > 0:
+        findings.append(
+            f"a share of {coarse.in_gaps:.1%} of the surface that one scan shows lies in holes of the other: these are"
+            " taken for gaps of a scan (dark, shiny or shaded places), did not count for the pose, and nothing is"
+            " compared in them; if the part has these holes, look whether it is the same part"
+        )
     if sigma > HARDLY_KNOWN * extent:
         findings.append(
             f"the pose is known to {sigma:.2g} mm only (one standard deviation), along {motion}: the part shows little"

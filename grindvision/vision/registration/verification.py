@@ -85,7 +85,9 @@ NEAR = 6.0
 @dataclass(frozen=True)
 class VerifiedPose:
     """The pose that was chosen: its refinement, its ``agreement``, the best rival's, and in words the motion to that
-    rival; ``confidence`` 0..1 that no rival is right; ``mirror``: a mirror image of the source that fits as well."""
+    rival; ``confidence`` 0..1 that no rival is right; ``mirror``: a mirror image of the source that fits as well;
+    ``in_gaps``: share of the agreeing surfels' number that lies in holes of the other scan, where these did not count
+    for the pose, else 0."""
 
     registration: FineRegistration
     agreement: Agreement

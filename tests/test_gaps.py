@@ -1,0 +1,50 @@
+"""Scans of which a part is missing in gaps: pose, bead, and what is said of them."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from grindvision.geometry import move_points
+from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.pieces import Cluster
+from grindvision.vision.change.ridge_path import lies_on_top, trace_bead
+from tests.grinding_scene import arc_bead, pair
+
+
+def with_gaps(points, size_mm, rng, share=0.15):
+    """Points (N, 3) of a scanner at the origin less those where a random field of that length is highest."""
+    waves, phases = rng.normal(size=(100, 2)) / size_mm, rng.uniform(0, 2 * np.pi, 100)
+    field = np.cos(400 * points[:, :2] / points[:, 2:] @ waves.T + phases).sum(axis=1)
+    return points[field < np.quantile(field, 1 - share)]
+
+
+def test_gaps_of_either_scan_leave_pose_and_bead_and_are_told():
+    beads = (arc_bead(),)
+    case, rng = pair(seed=4, n_points=20_000, beads=beads), np.random.default_rng(8)
+    scans = [with_gaps(points, 7.0, rng) for points in (case.sample, case.test)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = detect(*scans, DetectOptions(seed=1))
+    away = move_points(found.T_sample_test, case.test) - move_points(case.T_sample_test, case.test)
+    assert np.linalg.norm(away, axis=1).max() < 0.3
+    assert len(found.difference.clusters) == len(found.beads) == 1
+    assert found.coarse.in_gaps > 0.05
+    assert sum("lies in holes of the other" in str(one.message) for one in caught) == 1
+    assert found.coverage.test_fraction < 0.9
+    ridge = move_points(case.T_test_part, beads[0].ridge())
+    assert cKDTree(ridge).query(found.path_points)[0].max() < 0.7
+
+
+def test_a_ridge_beside_the_highest_points_across_it_is_told():
+    """A bead along y; its path, and the same path moved down its flank."""
+    x, y = np.meshgrid(np.arange(-3, 3.1, 0.6), np.arange(-15, 15.1, 0.6))
+    x, y = x.ravel(), y.ravel()
+    height = 1.6 * (1 - (x / 3.2) ** 2)
+    up = np.tile([0.0, 0.0, 1.0], (len(x), 1))
+    piece = Cluster(np.column_stack([x, y, height]), height, up, 1.2, 60.0, 80.0, 1.6)
+    path = trace_bead(piece, 6)
+    assert lies_on_top(piece, path)
+    down = np.array([2.7, 0.0, 0.0])
+    assert not lies_on_top(piece, replace(path, points=path.points + down, ridge=path.ridge + down))
