@@ -70,6 +70,10 @@ MAX_SIZE = 0.08
 CLEARLY = 1.5
 """Another pose with a field of its own is ruled out where it leaves so many times the spread."""
 
+MAX_HARD = 0.02
+"""Share of surfels in front of what the other scanner saw, or in its holes, from which a rigid pose is refused, too: a
+field brings the surfaces together wherever they lie, and no farther."""
+
 HALF, NEARLY_ALL = 0.5, 0.9
 """Fractions of the common surface in agreement that count for nothing and for all of the confidence."""
 
@@ -306,6 +310,9 @@ def _checked(fit: DeformationFit, scan: Scan, bent: Scan, rng: np.random.Generat
     found = judge.agreement(fit.registration.T_target_source)
     if found.overlap < MIN_OVERLAP or found.fraction_of_overlap < MIN_AGREEMENT:
         raise DegenerateError(f"with the best smooth field {found} within {judge.within_mm:.2g} mm")
+    hard = judge.evidence(fit.registration.T_target_source, None).hard
+    if hard > MAX_HARD:
+        raise DegenerateError(f"with the best smooth field {hard:.1%} would stand in front of what the other scan shows")
     return found
 
 
