@@ -1,4 +1,4 @@
-"""Scans of which a part is missing in gaps: pose, bead, and what is said of them."""
+"""Scans of which a part is missing in gaps, or with pixels mixed across edges: pose, bead, and what is said of them."""
 
 import warnings
 from dataclasses import replace
@@ -7,9 +7,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import move_points
+from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.mixed_pixels import MIXED, along_the_rays, diagnose_mixed_pixels
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.change.ridge_path import lies_on_top, trace_bead
+from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.surface.scan import Resolution, prepare_scan
 from tests.grinding_scene import arc_bead, pair
 
 
@@ -48,3 +52,23 @@ def test_a_ridge_beside_the_highest_points_across_it_is_told():
     assert lies_on_top(piece, path)
     down = np.array([2.7, 0.0, 0.0])
     assert not lies_on_top(piece, replace(path, points=path.points + down, ridge=path.ridge + down))
+
+
+def test_a_slope_between_two_planes_along_the_rays_is_told_as_mixed_pixels():
+    """Two planes 20 mm apart; of one pair of scans the step between them runs nearly along the rays, of the other is none."""
+    rng = np.random.default_rng(0)
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(-40, 40.1, 1.0), np.arange(-30, 30.1, 1.0)))
+    planes = np.column_stack([x, y, np.where(x > 0, 400.0, 420.0)])
+    deep = rng.uniform(400, 420, 1500)
+    ramp = np.column_stack([0.06 * (deep - 400), rng.uniform(-30, 30, len(deep)), deep])
+    ramp[:, 1] *= deep / 400
+    clean, mixed = (prepare_scan(points, Resolution(1.0, 2.0, 4.0), np.zeros(3), None) for points in
+                    (planes, np.concatenate([planes, ramp])))  # fmt: skip
+    assert along_the_rays(clean).mean() < MIXED < along_the_rays(mixed).mean()
+    same = FineRegistration(np.eye(4), 0.1, 1.0, 5, True, np.zeros(3), np.eye(6), np.eye(6), np.zeros(1))
+    none = np.ones(len(mixed.surfels))
+    difference = Difference((), mixed.surfels.points, 0.3 * none, none, 1.0, none, none > 0, 2.0)
+    (said,) = diagnose_mixed_pixels(mixed, clean, same, difference)
+    assert "of the test scan lies along the lines of sight" in said
+    assert "by up to 0.3 mm" in said
+    assert diagnose_mixed_pixels(clean, clean, same, difference) == ()

@@ -14,6 +14,7 @@ from grindvision.records import by_content
 from grindvision.vision.change.bent_pieces import bending_doubts
 from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
+from grindvision.vision.change.mixed_pixels import diagnose_mixed_pixels
 from grindvision.vision.change.moved_body import check_one_body
 from grindvision.vision.registration.datum import refine_on_datum
 from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
@@ -68,6 +69,7 @@ class Comparison:
         against = self.faces.diagnose(nothing_found=not difference.clusters)
         if not self.faces.off:  # a face that is off looks like another scale, and like missing material elsewhere
             against += diagnose(found.source, found.target, found.fine, difference, self.seed, bool(self.faces.sole))
+        against += diagnose_mixed_pixels(found.source, found.target, found.fine, difference)
         against += () if self.model is None else diagnose_model(self.model.facets)
         return against + (() if self.deformed is None else self.deformed.diagnose())
 

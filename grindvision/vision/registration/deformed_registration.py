@@ -312,7 +312,7 @@ def _checked(fit: DeformationFit, scan: Scan, bent: Scan, rng: np.random.Generat
         raise DegenerateError(f"with the best smooth field {found} within {judge.within_mm:.2g} mm")
     hard = judge.evidence(fit.registration.T_target_source, None).hard
     if hard > MAX_HARD:
-        raise DegenerateError(f"with the best smooth field {hard:.1%} would stand in front of what the other scan shows")
+        raise DegenerateError(f"with the best smooth field {hard:.1%} would stand in front of what the other shows")
     return found
 
 
