@@ -1,28 +1,33 @@
 """Detection on parts other than the book's plate: ``python -m benchmarks.workpieces --pairs 24``.
 
 Pairs of scans of random workpieces, with a bead, with a pit and as good, some 10 to 60 deg apart, each with its truth.
-Printed: how many ours solves, refuses and gets wrong, silently (exit 0 and no warning) or not, and the poses that the
-peers find on the same pairs.
+Printed: how many ours solves, refuses and gets wrong, silently (exit 0 and no warning) or not; with ``--peers``, how
+many poses the peers find on the same pairs.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import os
 import sys
+import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers.programs import build_pcl, run_pcl
 from grindvision.cell.workpiece_scene import CHANGES, WorkpieceScene, workpiece_scene
 from grindvision.cell.workpieces import WORKPIECES
-from grindvision.errors import GrindvisionError
+from grindvision.clouds import write_ply
+from grindvision.errors import GrindvisionError, MissingExtraError
 from grindvision.models import Model
 from grindvision.vision.change.detection import DetectOptions, detect
 from grindvision.words import counted
@@ -132,7 +137,27 @@ def kiss_matcher_pose(scene: WorkpieceScene) -> Floats:
     return np.asarray(pose)
 
 
-PEERS: dict[str, Callable[[WorkpieceScene], Floats]] = {"open3d": open3d_pose, "kiss-matcher": kiss_matcher_pose}
+def pcl_pose(scene: WorkpieceScene, method: str) -> Floats:
+    """PCL's first alignment by ``sacia`` or ``prerejective``, and its ICP to planes."""
+    if why := build_pcl():
+        raise MissingExtraError(f"PCL: {why}")
+    tries = {"sacia": 2_000, "prerejective": 50_000}[method]
+    with tempfile.TemporaryDirectory() as folder:
+        sample, test, start = (Path(folder) / name for name in ("sample.ply", "test.ply", "start"))
+        write_ply(sample, scene.sample.points)
+        write_ply(test, scene.test.points)
+        words = sample, test, os.devnull
+        coarse = run_pcl("pcl_grind", "coarse", *words, method, 2.5, tries)["T_sample_test"]
+        np.ascontiguousarray(coarse).tofile(start)
+        return np.asarray(run_pcl("pcl_grind", "icp", *words, "plane", start)["T_sample_test"])
+
+
+PEERS: dict[str, Callable[[WorkpieceScene], Floats]] = {
+    "open3d": open3d_pose,
+    "kiss-matcher": kiss_matcher_pose,
+    "pcl-sacia": partial(pcl_pose, method="sacia"),
+    "pcl-prerejective": partial(pcl_pose, method="prerejective"),
+}
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
@@ -158,6 +183,34 @@ def append(path: Path, row: dict[str, Any]) -> None:
         writer.writerow(row)
 
 
+def race_peers(scenes: Iterable[tuple[int, WorkpieceScene]], names: Sequence[str], path: Path | None = None) -> None:
+    """Print how many poses each peer gets right, of all pairs and of the determined ones; rows of pairs go to ``path``.
+
+    None of them refuses a pair: what is not right is silently wrong.
+    """
+    rows: list[dict[str, Any]] = []
+    for pair, scene in scenes:
+        for name in names:
+            started = time.perf_counter()
+            try:
+                error = scene.pose_error_mm(PEERS[name](scene))
+            except (RuntimeError, GrindvisionError) as refusal:
+                error = np.inf
+                print(f"{pair} {name}: {refusal}")
+            row = {"pair": pair, "kind": scene.piece.kind, "change": name, "determined": scene.determined,
+                   "outcome": "solved" if error <= MAX_POSE_MM else "silently wrong", "pose_mm": error,
+                   "seconds": time.perf_counter() - started}  # fmt: skip
+            rows.append(row)
+            if path:
+                append(path, row)
+    for name in names:
+        for title, some in (("all", rows), ("determined", [row for row in rows if row["determined"]])):
+            errors = [row["pose_mm"] for row in some if row["change"] == name]
+            right = sum(error <= MAX_POSE_MM for error in errors)
+            middle = f"median error {np.median(errors):.3g} mm" if errors else "no pairs"
+            print(f"{name}, {title}: pose right {right} of {len(errors)}, {middle}")
+
+
 def main(words: list[str] | None = None) -> int:
     """Run the study and print its table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.workpieces", description=__doc__.splitlines()[0])
@@ -166,15 +219,15 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the scenes (default: 0)")
     parser.add_argument("--model", action="store_true", help="the good part's model takes the place of its scan")
     parser.add_argument("--kinds", nargs="+", choices=tuple(WORKPIECES), default=tuple(WORKPIECES))
-    parser.add_argument("--peers", nargs="*", choices=tuple(PEERS), default=())
+    parser.add_argument("--peers", nargs="+", choices=tuple(PEERS), default=(), help="these instead of ours")
     parser.add_argument(
         "--csv", type=Path, help="a row a pair, appended to this file; pairs that stand in it are skipped"
     )
     options = parser.parse_args(words)
     rows: list[dict[str, Any]] = rows_of(options.csv) if options.csv else []
     done = {row["pair"] for row in rows}
-    peers: dict[str, list[float]] = {name: [] for name in options.peers}
-    for pair in range(options.first, options.first + options.pairs):
+    pairs = range(options.first, options.first + options.pairs)
+    for pair in pairs if not options.peers else ():
         if pair in done:
             continue
         scene = scene_of(pair, options.seed, tuple(options.kinds))
@@ -182,18 +235,17 @@ def main(words: list[str] | None = None) -> int:
         rows.append(row | judged(scene, DetectOptions(seed=pair), options.model))
         print(*(f"{rows[-1].get(name, ''):.3g}" if isinstance(rows[-1].get(name), float) else rows[-1].get(name, "-")
                 for name in COLUMNS), sep="  ", flush=True)  # fmt: skip
-        for name, errors in peers.items():
-            errors.append(scene.pose_error_mm(PEERS[name](scene)))
         if options.csv:
             append(options.csv, rows[-1])
+    if options.peers:
+        scenes = (scene_of(pair, options.seed, tuple(options.kinds)) for pair in pairs)
+        race_peers(zip(pairs, scenes, strict=True), options.peers, options.csv)
+        return 0
     determined = [row for row in rows if row["determined"]]
     for title, some in (("all", rows), ("determined", determined)):
         counts = Counter(row["outcome"] for row in some)
         text = ", ".join(f"{name} {counts[name]}" for name in ("solved", "refused", "wrong", "silently wrong"))
         print(f"{title}: {len(some)} pairs: {text}")
-    for name, errors in peers.items():
-        good = sum(error <= MAX_POSE_MM for error in errors)
-        print(f"{name} (pose alone): right {good}, wrong {len(errors) - good}, median error {np.median(errors):.3g} mm")
     print(f"ours: pose right {sum(row.get('pose_mm', np.inf) <= MAX_POSE_MM for row in rows)} of {len(rows)}")
     return 0
 
