@@ -126,14 +126,14 @@ def choose_pose(
     """
     judge = PoseJudge(source, target, rng, sample)
     searched = []
-    refusal = DegenerateError("no pose was found")
+    refusal: DegenerateError | None = None
     for one in [judge, judge.without_holes()] if judge.shows_holes else [judge]:
         candidates = _first_candidates(one, source, target, poses, tried, rng)
         searched.append((one, candidates))
         try:
             found = _chosen(one, candidates)
         except DegenerateError as error:
-            refusal = error
+            refusal = refusal or error
             continue
         if one is not judge:
             return replace(found, in_gaps=_in_holes(judge, found))
@@ -147,7 +147,7 @@ def choose_pose(
             return replace(later, in_gaps=_in_holes(judge, later))
         if _in_holes(judge, later) <= GAPS:
             return later
-    raise refusal
+    raise refusal or DegenerateError("no pose was found that both scans bear out")
 
 
 def _in_holes(judge: PoseJudge, found: VerifiedPose) -> float:
