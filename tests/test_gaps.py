@@ -27,10 +27,10 @@ def with_gaps(points, size_mm, rng, share=0.15):
 def test_gaps_of_either_scan_leave_pose_and_bead_and_are_told():
     beads = (arc_bead(),)
     case, rng = pair(seed=4, n_points=20_000, beads=beads), np.random.default_rng(8)
-    scans = [with_gaps(points, 7.0, rng) for points in (case.sample, case.test)]
+    sample, test = (with_gaps(points, 7.0, rng) for points in (case.sample, case.test))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = detect(*scans, DetectOptions(seed=1))
+        found = detect(sample, test, DetectOptions(seed=1))
     away = move_points(found.T_sample_test, case.test) - move_points(case.T_sample_test, case.test)
     assert np.linalg.norm(away, axis=1).max() < 0.3
     assert len(found.difference.clusters) == len(found.beads) == 1
@@ -55,7 +55,7 @@ def test_a_ridge_beside_the_highest_points_across_it_is_told():
 
 
 def test_a_slope_between_two_planes_along_the_rays_is_told_as_mixed_pixels():
-    """Two planes 20 mm apart; of one pair of scans the step between them runs nearly along the rays, of the other is none."""
+    """Two planes 20 mm apart; in one scan a slope nearly along the rays joins them, in the other nothing does."""
     rng = np.random.default_rng(0)
     x, y = (one.ravel() for one in np.meshgrid(np.arange(-40, 40.1, 1.0), np.arange(-30, 30.1, 1.0)))
     planes = np.column_stack([x, y, np.where(x > 0, 400.0, 420.0)])
