@@ -103,6 +103,7 @@ def test_the_command_joins_the_views_where_the_part_is(tmp_path, mounted, frame)
     assert report["meeting_mm"]["median"] < 0.1
     written = read_cloud(tmp_path / "part" / "merged.ply", "mm")
     joined = written.points
+    assert written.normals is not None
     assert np.abs(np.linalg.norm(written.normals, axis=1) - 1).max() < 1e-5
     at = np.repeat(np.array(report[f"T_{frame}_camera"])[:, :3, 3], 4000, axis=0)
     assert ((at - joined) * written.normals).sum(axis=1).min() > 0

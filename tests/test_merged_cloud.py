@@ -94,6 +94,7 @@ def test_a_side_is_told_only_by_normals_that_one_place_faces():
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     cap = rays[rays[:, 0] > 0.2]
     seen = viewpoint_by_normals(500 + 40 * cap, cap)
+    assert seen is not None
     assert ((seen - (500 + 40 * cap)) * cap).sum(axis=1).min() > 0 and seen[0] > 1000
     assert viewpoint_by_normals(500 + 40 * rays, rays) is None
     assert viewpoint_by_normals(500 + 40 * cap, cap * rng.choice([-1.0, 1.0], (len(cap), 1))) is None

@@ -12,6 +12,7 @@ from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarni
 from grindvision.geometry import angle_between, inverse, random_rotation, rigid
 from grindvision.vision.registration import views
 from grindvision.vision.registration.view_poses import Tie, closed_ties, triangle_pairs
+from grindvision.vision.registration.view_ties import tie_of
 from grindvision.vision.registration.views import ViewRegistration, register_views
 from tests.hand_eye_scene import part_view
 
@@ -43,7 +44,12 @@ def worst(found: ViewRegistration, poses):
 def test_views_get_the_poses_they_were_taken_from_and_the_part_s_frame_stands_in_its_middle(monkeypatch):
     poses, clouds = seen(0)
     plain, registered = views._registered, []
-    monkeypatch.setattr(views, "_registered", lambda *words: registered.append(1) or plain(*words))
+
+    def counted(*words):
+        registered.append(words)
+        return plain(*words)
+
+    monkeypatch.setattr(views, "_registered", counted)
     done = []
     found = register_views(clouds, finished=lambda *counts: done.append(counts))
     assert len(registered) == 2 * 5 - 3  # the other three pairs are refined from where these put them
@@ -89,7 +95,7 @@ def test_ties_are_closed_by_a_ring_of_any_length_unless_one_of_it_is_wrong():
 
 def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
     poses, clouds = seen(0, 4)
-    plain = views.tie_of
+    plain = tie_of
 
     def wrong(fine, source):
         tie = plain(fine, source)

@@ -28,6 +28,10 @@ ROUNDED_NOISE, ROUNDED_CELLS, ROUNDED_SIGMAS, WINDOW_CELLS = 0.5, 0.015, 3.0, 2.
 #: Faces that bulge by more than this over their reach, in cells, as tubes do, are followed by no parabola far: they are
 #: carried on over this part of their reach at most.
 MAX_BULGE_CELLS, BENT_ROUNDING = 0.25, 0.22
+#: Faces that scatter, beyond a rounding, by more than this times the points' own noise and this part of a cell bend
+#: otherwise than the fit, and what lies off them near the root says nothing of a rounding. (Windows of pixels leave
+#: less noise from point to point than over a face.)
+FOLLOWED, FOLLOWED_CELLS = 1.5, 0.07
 #: A face seen that flat holds less than this fraction of the other one's points.
 THIN = 0.5
 
@@ -69,7 +73,7 @@ def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, fitted: FaceFit,
     reach = BENT_ROUNDING * scale.far if bulge > MAX_BULGE_CELLS * scale.cell else scale.far
     scale = replace(scale, rounding=reach)
     sides = fit_faces(points, curve, faces, scale)
-    if sides is None:
+    if sides is None or sides.noise.max() > max(FOLLOWED * scale.noise, FOLLOWED_CELLS * scale.cell):
         return 0.0
     displacement, _ = intersections(curve, faces, sides)
     _, station, offset = nearest_stations(points, curve, scale.far)
