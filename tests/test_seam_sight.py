@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from grindvision.errors import GrindvisionWarning
 from grindvision.geometry import rotation_about, unit_vectors, vector_angle
 from grindvision.vision.seam.point_density import camera_place
 from grindvision.vision.seam.seam_sight import narrow_face
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
+from grindvision.vision.seam.weld import trace_weld
+from tests.groove_scenes import straight_groove
 from tests.seam_scenes import corner, turned
 
 FOCAL_PX, BASELINE_MM = 500.0, 55.0
@@ -17,8 +20,9 @@ UPRIGHT = ([-90.0, 0.0, -8.0], [90.0, 8.0, 60.0])
 TABLE = ([-160.0, -160.0, -30.0], [160.0, 160.0, -8.0])
 
 
-def seen(boxes, rng, window_px=0.0, noise_px=0.03):
-    """Points (N, 3) of axis-parallel boxes from ``EYE``: one a pixel, disparities averaged over a window."""
+def seen(boxes, rng, window_px=0.0, noise_px=0.03, tube=None):
+    """Points (N, 3) of axis-parallel boxes, and of a tube along x with y, z, radius, from ``EYE``: one a pixel,
+    disparities averaged over a window."""
     forward = unit_vectors(-EYE)
     right = unit_vectors(np.cross(forward, [0.0, 0.0, 1.0]))
     down = np.cross(forward, right)
@@ -29,6 +33,12 @@ def seen(boxes, rng, window_px=0.0, noise_px=0.03):
         ends = np.sort((np.array([low, high])[:, None, None] - EYE) / rays, axis=0)
         enters, leaves = ends[0].max(axis=-1), ends[1].min(axis=-1)
         depth = np.where((enters < leaves) & (enters < depth), enters, depth)
+    if tube is not None:
+        away, turns = EYE[1:] - tube[:2], (rays[..., 1:] ** 2).sum(axis=-1)
+        half = rays[..., 1:] @ away
+        root = half**2 - turns * (away @ away - tube[2] ** 2)
+        enters = np.where(root > 0, (-half - np.sqrt(np.maximum(root, 0.0))) / turns, np.inf)
+        depth = np.where((enters < depth) & (np.abs(EYE[0] + rays[..., 0] * enters) < 80), enters, depth)
     hit = np.isfinite(depth)
     disparity = FOCAL_PX * BASELINE_MM / np.where(hit, depth, 1e6)
     disparity = gaussian_filter(disparity, window_px) + noise_px * rng.standard_normal(depth.shape)
@@ -51,6 +61,21 @@ def test_the_density_of_the_points_tells_where_the_camera_stood(rng):
     assert np.linalg.norm(again - place) < 1.0
     found = find_seams(points)
     assert not found.view_assumed and found.seams[0].kind == "t-joint"
+
+
+@pytest.mark.parametrize("radius_mm", [15.0, 22.0])
+def test_a_tube_on_a_plate_is_no_groove_from_below(rng, radius_mm):
+    points = seen([BASE], rng, tube=(0.0, 3.0, radius_mm)) + [600.0, 100.0, 50.0]  # as in a robot's base frame
+    (seam,) = find_seams(points).seams
+    assert seam.kind == "t-joint" and (seam.root[:, 2] - 50.0).max() < 1.0
+
+
+def test_a_groove_whose_side_nothing_tells_says_so(rng):
+    points = straight_groove(rng)[0] * [1, -1, -1] + [600.0, 100.0, 500.0]  # even spacing, a robot's base frame
+    assert find_seams(points).view_assumed
+    assert not find_seams(points, FindSeamsOptions((600.0, 100.0, 500.0))).view_assumed
+    with pytest.warns(GrindvisionWarning, match="a ridge for a groove"):
+        trace_weld(points)
 
 
 def test_evenly_spaced_points_tell_no_place(rng):

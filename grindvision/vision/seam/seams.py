@@ -7,7 +7,6 @@ its kind is named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +36,7 @@ from grindvision.vision.seam.point_density import camera_place
 from grindvision.vision.seam.seam_kinds import BEVEL_SKEW, groove_seam, skew_of
 from grindvision.vision.seam.section_shape import section_shape, with_shape
 from grindvision.vision.seam.surface_seams import CELL_SPACINGS, runs_along, surface_seams
+from grindvision.vision.seam.viewing_frames import field_frames
 from grindvision.words import counted
 
 Floats = NDArray[np.float64]
@@ -122,6 +122,9 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
     viewpoint_mm, joint, width_mm = options.viewpoint_mm, options.joint, options.width_mm
     wanted = kinds_of(joint)
     view = seen_cloud(points, viewpoint_mm)
+    told = camera_place(view.points) if len(view.sides) > 1 else None
+    if told is not None:
+        view = replace(view, sides=field_frames(view.points, told))
     cloud, valid, sides, spacing = view.points, view.valid, view.sides, view.spacing_mm
     grooves: GrooveDetection | None = None
     sure: list[Judged] = []
@@ -139,12 +142,12 @@ def find_seams(points: ArrayLike, options: FindSeamsOptions | None = None) -> Se
         sure = [_upright(one, cloud, spacing) for one in sure]
     groove_seams = [groove_seam(one.groove) for one in sure]
     others: list[Seam] = []
-    assumed = False
+    assumed = len(sides) > 1 and bool(groove_seams)
     if set(wanted) - set(FAMILIES["groove"]):
-        for facing in _facings(view, viewpoint_mm):
+        for facing in _facings(viewpoint_mm, told, len(sides)):
             others = surface_seams(cloud, sides[0][0], facing, spacing, groove_seams, wanted)
             if others:
-                assumed = facing is None
+                assumed = assumed or facing is None
                 break
     hollows = [one.groove for one in doubtful if joint != "groove" and one.bends_on]
     doubtful = [one for one in doubtful if one.groove not in hollows and not _is_corner(one, others, spacing)]
@@ -233,16 +236,14 @@ def _with_sigma(groove: DetectedGroove, spacing: float) -> DetectedGroove:
     return replace(groove, root_deviation_mm=np.hypot(groove.root_deviation_mm, UPRIGHT_SIGMA_SPACINGS * spacing))
 
 
-def _facings(view: SeenCloud, viewpoint_mm: ArrayLike | None) -> Iterator[Floats | None]:
-    """Where normals are turned to: a viewpoint (3,), else one that the density of the points tells, else None for the
+def _facings(viewpoint_mm: ArrayLike | None, told: Floats | None, sides: int) -> list[Floats | None]:
+    """Where normals are turned to: a viewpoint (3,), or one that the density of the points ``told``, else None for the
     side that looks up."""
-    if viewpoint_mm is not None or len(view.sides) == 1:
-        yield np.zeros(3) if viewpoint_mm is None else np.asarray(viewpoint_mm, dtype=float)
-        return
-    told = camera_place(view.points)
+    if viewpoint_mm is not None:
+        return [np.asarray(viewpoint_mm, dtype=float)]
     if told is not None:
-        yield told
-    yield None
+        return [told, None]
+    return [np.zeros(3) if sides == 1 else None]
 
 
 def _is_corner(one: Judged, others: list[Seam], spacing: float) -> bool:

@@ -163,8 +163,8 @@ def _findings(detected: SeamDetection, points: ArrayLike) -> list[str]:
             findings.append(f"seam {number} ({seam.kind}) is not seen at {where} of its length: the path bridges it")
     if detected.view_assumed:
         findings.append(
-            "nothing tells from which side the scan was taken; the side that looks up was taken: give the viewpoint, or"
-            " a corner may be taken inside out"
+            "nothing tells from which side the scan was taken, one was assumed: give the viewpoint, or a corner may be"
+            " taken inside out and a ridge for a groove"
         )
     if detected.weaker:
         findings.append(f"less certain, and not followed: {'; '.join(map(str, detected.weaker))}; ask for them by kind")
