@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from grindvision.vision.seam.seam_path import SeamPath
     from grindvision.vision.seam.weld import TraceWeldOptions, Weld
 
-#: What ``trace_weld`` says where it took the side that looks up.
+#: How ``trace_weld`` begins what it says where it had to assume a side.
 SIDE_ASSUMED = "nothing tells from which side"
 
 #: Length along the seam over which the torch's frame averages what single normals say, mm.
