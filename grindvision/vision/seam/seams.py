@@ -66,8 +66,8 @@ class FindSeamsOptions:
 
     ``viewpoint_mm``: the camera (3,). Left out, the origin is taken where a camera could stand there, otherwise the
     place that the density of the points tells (``camera_place``), otherwise for corners the side that looks up, for
-    grooves the one with the larger groove. ``joint``: a kind of ``joint_names.KINDS`` or a family of ``joint_names.FAMILIES``; others are
-    then left out. ``width_mm``: rough width of grooves; estimated when left out.
+    grooves the one with the larger groove. ``joint``: a kind of ``joint_names.KINDS`` or a family of
+    ``joint_names.FAMILIES``; others are then left out. ``width_mm``: rough width of grooves; estimated when left out.
     """
 
     viewpoint_mm: ArrayLike | None = None
