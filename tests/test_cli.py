@@ -80,3 +80,14 @@ def test_help_loads_nothing_heavy():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_a_process_of_one_command_reads_the_names_of_glyphs_only_when_they_are_asked_for():
+    code = (
+        "import sys\nfrom grindvision.cli import pictures\npictures.own_process = True\n"
+        "pictures.drawing('detect_picture')\nimport fontTools.agl as names\n"
+        "print('toUnicode' in vars(names), names.toUnicode('alpha'))\n"
+        "import fontTools.agl\nprint('toUnicode' in vars(sys.modules['fontTools.agl']))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split() == ["False", "α", "True"]

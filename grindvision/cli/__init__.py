@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(
             "OPENBLAS_NUM_THREADS", "1"
         )  # this process is ours: no threads that one_blas_thread rests
+        sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]  # numba would import it where it is there
         pictures.own_process = True
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from grindvision.caches import matplotlib_has_a_folder
@@ -23,6 +25,7 @@ own_process = False
 
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
+    _postpone_glyph_names()
     try:
         with matplotlib_has_a_folder(), _without_docstrings():
             return import_module(f"grindvision.cli.{module}").draw
@@ -50,6 +53,26 @@ def _without_docstrings() -> Iterator[None]:
         yield
     finally:
         artist.kwdoc = written
+
+
+def _postpone_glyph_names() -> None:
+    """In a process that runs a command, let the names of all glyphs be read when they are asked for: Matplotlib imports
+    them, a tenth of its time, and uses them only where TeX sets the text."""
+    name = "fontTools.agl"
+    if not own_process or name in sys.modules:
+        return
+    postponed = ModuleType(name)
+
+    def read(attribute: str) -> Any:
+        if sys.modules.get(name) is postponed:
+            del sys.modules[name]
+        return getattr(import_module(name), attribute)
+
+    postponed.__getattr__ = read  # type: ignore[method-assign]
+    with suppress(ImportError):
+        import fontTools
+
+        sys.modules[name] = fontTools.agl = postponed
 
 
 def save_png(figure: Figure, path: Path, dpi: int = 100) -> None:
