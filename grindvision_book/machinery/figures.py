@@ -5,7 +5,9 @@ The files repeat byte for byte: no date, no random identifiers, text as outlines
 
 from __future__ import annotations
 
+import base64
 import html
+import os
 import re
 import sys
 from pathlib import Path
@@ -48,7 +50,17 @@ def save_figure(fig: Figure, name: str, data: pd.DataFrame, caption: str) -> Non
     write_text(folder / f"{name}.csv", csv_text(data))
     plt.close(fig)
     if shell := shown_in():
-        shell.display(shell.SVG(filename=str(svg)), shell.Markdown(f"*{caption}*"))
+        shell.display(_shown(svg, caption, shell), shell.Markdown(f"*{caption}*"))
+
+
+def _shown(svg: Path, caption: str, shell: ModuleType) -> Any:
+    """A drawing as a page of the book takes it, and in a live notebook as an image that is no wider than its cell:
+    JupyterLab keeps a wide SVG at its own width and cuts it off."""
+    if not is_live():
+        return shell.SVG(filename=str(svg))
+    source = base64.b64encode(svg.read_bytes()).decode()
+    about = html.escape(caption, quote=True)
+    return shell.HTML(f"<img src='data:image/svg+xml;base64,{source}' alt='{about}' style='max-width: 100%'/>")
 
 
 def _draw(fig: Figure, svg: Path, png: Path, about: dict[str, str]) -> None:
@@ -155,3 +167,12 @@ def shown_in() -> ModuleType | None:
     from IPython import display
 
     return display
+
+
+def is_live() -> bool:
+    """Whether somebody reads along, and can move a slider: a kernel of JupyterLab, Notebook or VS Code that rebuilds no
+    book."""
+    if os.environ.get("GRINDVISION_FIGURES") or "IPython" not in sys.modules:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return shell is not None and ("JPY_SESSION_NAME" in os.environ or "__vsc_ipynb_file__" in shell.user_ns)

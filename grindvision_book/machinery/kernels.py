@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import json
 import os
 import re
@@ -85,6 +86,7 @@ async def run_notebook(source: Path, copy: Path, environment: Mapping[str, str],
         except RuntimeError as error:
             if begun != [0]:
                 raise
+            atexit.unregister(client._cleanup_kernel)  # left by nbclient, which has ended the kernel already
             failure = f"its kernel did not start ({_first_line(str(error))})"
     notebook.cells.remove(asked)
     with write_whole(copy) as path:

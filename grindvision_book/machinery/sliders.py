@@ -8,13 +8,11 @@ from __future__ import annotations
 import base64
 import html
 import io
-import os
-import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from grindvision.errors import InputError
-from grindvision_book.machinery.figures import lay_out, save_figure, shown_in
+from grindvision_book.machinery.figures import is_live, lay_out, save_figure, shown_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,14 +110,6 @@ def _same_scale(figures: Sequence[Figure]) -> None:
         low, high = min(min(pair) for pair in limits), max(max(pair) for pair in limits)
         for fig, (first, last) in zip(figures, limits, strict=True):
             getattr(fig.axes[0], f"set_{axis}lim")(*((low, high) if first <= last else (high, low)))
-
-
-def is_live() -> bool:
-    """Whether somebody can move a slider: a kernel of JupyterLab, Notebook or VS Code that rebuilds no book."""
-    if os.environ.get("GRINDVISION_FIGURES") or "IPython" not in sys.modules:
-        return False
-    shell = sys.modules["IPython"].get_ipython()
-    return shell is not None and ("JPY_SESSION_NAME" in os.environ or "__vsc_ipynb_file__" in shell.user_ns)
 
 
 def _show_slider(
