@@ -14,7 +14,7 @@ from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points, inverse, move_points
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
-from grindvision.motion.grinding_beside import check_beside
+from grindvision.motion.grinding_beside import check_beside, with_free_leads
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
@@ -138,8 +138,9 @@ def grind(
                 raise InputError(compared.doubted[of])
             check_visible(piece)
             plan = plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes)
-            check_beside(plan, without_stock(test, compared.difference))
-            plans.append(plan)
+            beside = without_stock(test, compared.difference)
+            check_beside(plan, beside)
+            plans.append(with_free_leads(plan, beside))
         except InputError as error:
             refusals[number] = str(error)
             plans.append(None)

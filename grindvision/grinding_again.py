@@ -20,7 +20,7 @@ from grindvision.grinding import GrindOptions, against_grinding, without_stock, 
 from grindvision.grinding_files import GrindingJob
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, plan_grinding
-from grindvision.motion.grinding_beside import check_beside
+from grindvision.motion.grinding_beside import check_beside, with_free_leads
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.motion.removal import LearntRemoval, learn_removal
 from grindvision.parallel import one_blas_thread
@@ -128,8 +128,9 @@ def grind_again(
             work = replace(work, offset_mm=offset, offset_sigma_mm=sigma)
         try:
             plan = plan_grinding(work, passes)
-            check_beside(plan, without_stock(new, compared.difference))
-            plans[-1] = plan
+            beside = without_stock(new, compared.difference)
+            check_beside(plan, beside)
+            plans[-1] = with_free_leads(plan, beside)
         except InputError as error:
             warnings.warn(f"the rest of piece {number} is not ground: {error}", GrindvisionWarning, stacklevel=2)
     clock.lap("passes")

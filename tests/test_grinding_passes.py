@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from grindvision.errors import InputError
 from grindvision.geometry import move_points
@@ -129,11 +130,39 @@ def test_preston_s_feed_and_force_cut_the_planned_depth():
         assert one.feed_mm_s <= 30.0 and one.force_n <= 20.0 + 1e-9
 
 
-def test_k_is_learnt_from_two_maps_within_its_sigma(rng):
+def fine_bead(heights, times):
+    """The bead of ``flat_work``, and the nodes around it, on a grid so many times as fine as a map."""
+    fine = heights.refined(times)
+    x, y = np.meshgrid(fine.x_mm, fine.y_mm, indexing="ij")
+    bead = 1.5 * np.clip(1 - ((y - heights.y_mm[-1] / 2) / 2.5) ** 2, 0, None) * ((x > 15) & (x < 45))
+    return replace(fine, heights_mm=bead)
+
+
+def as_scanned(fine, times):
+    """Heights of a surface as a scan has them at the nodes of a map: means around them."""
+    return gaussian_filter(fine, times / np.sqrt(6))[::times, ::times]
+
+
+def scanned_work(times=8):
+    """``flat_work`` as a scan shows it."""
     work = flat_work()
-    plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0, passes_max=3))
+    heights = as_scanned(fine_bead(work.heights, times).heights_mm, times)
+    return replace(work, heights=replace(work.heights, heights_mm=heights), inside=heights > 0.02)
+
+
+def scanned_after(plan, factor, offset_mm=0.0, times=8):
+    """Heights after the passes as a scan of a part shows them: neither wheel nor bead is a set of nodes."""
+    fine = fine_bead(plan.work.heights, times)
+    inside = fine.heights_mm >= 0
+    exact = replace(plan, work=replace(plan.work, heights=fine, inside=inside, keep=~inside))
+    *_, left = simulate_passes(exact, fine.heights_mm - offset_mm, factor)
+    return as_scanned(left + offset_mm, times)
+
+
+def test_k_is_learnt_from_two_maps_within_its_sigma(rng):
+    plan = plan_grinding(scanned_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0, passes_max=3))
     for factor in (0.6, 0.85):
-        *_, truth = simulate_passes(plan, work.heights.heights_mm, factor)
+        truth = scanned_after(plan, factor)
         off, sigma = [], []
         for _ in range(6):
             after = truth + rng.normal(scale=0.03, size=truth.shape)
@@ -264,10 +293,10 @@ def test_nothing_is_planned_below_what_is_known_of_the_wheel():
 @pytest.mark.parametrize("factor", [0.7, 1.5])
 @pytest.mark.parametrize("true_mm", [-0.12, 0.06])
 def test_the_wheel_s_offset_is_learnt_from_its_own_cut(rng, factor, true_mm):
-    work = replace(flat_work(), offset_sigma_mm=0.1)
+    work = replace(scanned_work(), offset_sigma_mm=0.1)
     plan = plan_grinding(work, GrindingOptions(depth_mm=0.3, width_mm=3.0))
-    *_, high = simulate_passes(plan, work.heights.heights_mm - true_mm, factor)
-    after = high + true_mm + rng.normal(scale=0.03, size=high.shape)
+    high = scanned_after(plan, factor, true_mm)
+    after = high + rng.normal(scale=0.03, size=high.shape)
     learnt = learn_removal(plan, after, np.full(high.shape, 0.03))
     assert abs(learnt.offset_mm - true_mm) < 3 * learnt.offset_sigma_mm + 0.01 and learnt.offset_sigma_mm < 0.1
     assert learnt.at_least == (factor > 1) and "the wheel ran" in str(learnt)

@@ -12,12 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter1d, label
+from scipy.ndimage import distance_transform_edt, label
 
 from grindvision.errors import InputError
 from grindvision.geometry.height_map import HeightMap
-from grindvision.motion.grinding_contact import Nodes, ToolShape, envelope_of, lifts_over, nodes_of, tool_shape
-from grindvision.motion.grinding_lines import grinding_lines, resampled
+from grindvision.motion.grinding_contact import (
+    WHEEL,
+    Nodes,
+    ToolShape,
+    envelope_of,
+    lifts_of_sides,
+    lifts_over,
+    nodes_of,
+    tool_shape,
+)
+from grindvision.motion.grinding_lines import grinding_lines, poses_along, resampled
 from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.records import by_content
 from grindvision.words import counted
@@ -70,10 +79,12 @@ class Workpiece:
 @dataclass(frozen=True)
 class Stroke:
     """One line of the tool over the ground of a map: ``poses`` (K, 12) tip on the ground and axes along the feed,
-    across and along the normal, in the map's frame; ``lifts_mm`` (K,) of the tip along the normal."""
+    across and along the normal, in the map's frame; ``lifts_mm`` (K,) of the tip along the normal; ``leads_mm``:
+    lengths of lead-in and lead-out, None for those of the options."""
 
     poses: Floats
     lifts_mm: Floats
+    leads_mm: tuple[float, float] | None = None
 
     @property
     def length_mm(self) -> float:
@@ -240,10 +251,12 @@ def _strokes(
     floors = _floors(work, options, floor)
     strokes = []
     for line in lines:
-        poses = _poses(work.heights, resampled(line, options.path_step_mm))
+        poses = poses_along(work.heights, resampled(line, options.path_step_mm))
         if poses is None:
             continue
         lifts = lifts_over(nodes, floors, poses, shape)
+        if shape.kind == WHEEL:
+            lifts = np.maximum(lifts, lifts_of_sides(nodes, floors, poses, shape))
         # the tip goes no lower than the floor, even where the ground falls away beside the map
         lifts = np.maximum(lifts, floor)
         touching = (_envelope(nodes, Stroke(poses, lifts), shape) < heights - TOUCH_MM) & work.inside
@@ -269,25 +282,6 @@ def _without_specks(region: Flags) -> Flags:
     sizes[0] = 0
     kept = np.asarray(sizes[marks] >= MIN_NODES)
     return kept if kept.any() else region
-
-
-def _poses(heights: HeightMap, line: Floats) -> Floats | None:
-    """Tips on the ground and axes (K, 12) along a line (K, 2) of the map; where the ground is not shown the line ends.
-
-    None where it shows fewer than two places.
-    """
-    feet = np.column_stack([line, heights.at(heights.ground_mm, line)])
-    normals = heights.at(heights.normals, line)
-    known = np.isfinite(feet).all(axis=1) & np.isfinite(normals).all(axis=1)
-    if known.sum() < 2:
-        return None
-    feet, normals = feet[known], normals[known]
-    normals = gaussian_filter1d(normals, 2.0, axis=0, mode="nearest")
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    ahead = np.gradient(feet, axis=0)
-    ahead -= (ahead * normals).sum(axis=1, keepdims=True) * normals
-    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
-    return np.ascontiguousarray(np.hstack([feet, ahead, np.cross(normals, ahead), normals]))
 
 
 def _envelope(nodes: Nodes, stroke: Stroke, shape: ToolShape) -> Floats:

@@ -116,6 +116,51 @@ def lifts_over(nodes: Nodes, floors: Floats, poses: Floats, shape: ToolShape) ->
 
 
 @njit(cache=True, nogil=True)
+def lifts_of_sides(nodes: Nodes, floors: Floats, poses: Floats, shape: ToolShape) -> Floats:
+    """Least heights (K,), as ``lifts_over``, at which the two sides of a wheel are not below the floors.
+
+    They stand between nodes, where ``lifts_over`` looks at none, and sloping ground is met there first: the floors are
+    taken on the straight lines from node to node.
+    """
+    ground, spacing = nodes
+    lifts = np.full(len(poses), -np.inf)
+    half = shape.half_width_mm
+    for k in range(len(poses)):
+        pose = poses[k]
+        low_i, high_i, low_j, high_j = _nodes_near(nodes, pose, shape)
+        for i in range(low_i, high_i):
+            for j in range(low_j, high_j):
+                x, y, z = _in_tool(ground, floors, i, j, pose)
+                if np.isnan(z) or abs(abs(y) - half) > 2 * spacing or abs(x) > shape.along_mm + spacing:
+                    continue
+                side = half if y > 0 else -half
+                for step in range(2):
+                    other_i, other_j = i + 1 - step, j + step
+                    if other_i >= ground.shape[0] or other_j >= ground.shape[1]:
+                        continue
+                    u, v, w = _in_tool(ground, floors, other_i, other_j, pose)
+                    if np.isnan(w) or (y - side) * (v - side) >= 0:
+                        continue
+                    part = (side - y) / (v - y)
+                    at = x + part * (u - x)
+                    if abs(at) <= shape.along_mm:
+                        lifts[k] = max(lifts[k], z + part * (w - z) - _lower(at, side, shape))
+    return lifts
+
+
+@njit(cache=True, nogil=True)
+def _in_tool(ground: Floats, floors: Floats, i: int, j: int, pose: Floats) -> tuple[float, float, float]:
+    """A node's floor from the tip at a pose (12,): along feed, across, along the normal; NaN where there is none."""
+    x = y = z = 0.0
+    for axis in range(3):
+        away = ground[i, j, axis] + floors[i, j] * ground[i, j, 3 + axis] - pose[axis]
+        x += away * pose[3 + axis]
+        y += away * pose[6 + axis]
+        z += away * pose[9 + axis]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
 def envelope_of(nodes: Nodes, poses: Floats, lifts: Floats, shape: ToolShape) -> Floats:
     """Heights (R, C) over the ground, along its normals, below which the tool comes nowhere on its way through the
     poses (K, 12) at ``lifts`` (K,); infinite where it does not come."""

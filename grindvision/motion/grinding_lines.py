@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, gaussian_filter1d
 
 from grindvision.extras import extra
 from grindvision.geometry.height_map import HeightMap
@@ -18,6 +18,9 @@ with extra("plot"):
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+TURNED = 0.1
+"""A mean direction of two steps that is shorter than so much of a step is none: they run against each other."""
 
 GROWN = 2
 """Lines run on over so many nodes beside the region."""
@@ -56,6 +59,29 @@ def grinding_lines(
         found = _level_lines(heights, field, shown & _along(heights, field, region & reach, level), float(level))
         lines += [line[::-1] for line in found[::-1]] if number % 2 else found
     return lines or [_stroke(heights, region)]
+
+
+def poses_along(heights: HeightMap, line: Floats) -> Floats | None:
+    """Tips on the ground and axes (K, 12) along a line (K, 2) of the map; where the ground is not shown the line ends.
+
+    None where it shows fewer than two places.
+    """
+    feet = np.column_stack([line, heights.at(heights.ground_mm, line)])
+    normals = heights.at(heights.normals, line)
+    known = np.isfinite(feet).all(axis=1) & np.isfinite(normals).all(axis=1)
+    if known.sum() < 2:
+        return None
+    feet, normals = feet[known], normals[known]
+    normals = gaussian_filter1d(normals, 2.0, axis=0, mode="nearest")
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    ahead = np.gradient(feet, axis=0)
+    # where a line turns back on itself, as a ring round a speck does, its mean direction vanishes; a step has one
+    step = np.diff(feet, axis=0, append=2 * feet[-1:] - feet[-2:-1])
+    turned = np.linalg.norm(ahead, axis=1) < TURNED * np.linalg.norm(step, axis=1)
+    ahead[turned] = step[turned]
+    ahead -= (ahead * normals).sum(axis=1, keepdims=True) * normals
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    return np.ascontiguousarray(np.hstack([feet, ahead, np.cross(normals, ahead), normals]))
 
 
 def _along(heights: HeightMap, field: Floats, wanted: Flags, level: float) -> Flags:

@@ -126,9 +126,10 @@ def _way(plan: GrindingPlan, one: GrindingPass, line: int, stroke: Stroke) -> tu
     options = plan.options
     ahead, normals = stroke.poses[:, 3:6], stroke.poses[:, 9:12]
     tips = stroke.poses[:, :3] + (stroke.lifts_mm - plan.work.offset_mm)[:, None] * normals
+    lengths = stroke.leads_mm or (options.lead_mm, options.lead_mm)
     leads = [
-        tips[end] + sign * options.lead_mm * ahead[end] + options.lead_height_mm * normals[end]
-        for end, sign in ((0, -1.0), (-1, 1.0))
+        tips[end] + sign * length * ahead[end] + options.lead_height_mm * normals[end]
+        for end, sign, length in ((0, -1.0, lengths[0]), (-1, 1.0, lengths[1]))
     ]
     ups = [lead + options.retract_mm * normals[end] for lead, end in zip(leads, (0, -1), strict=True)]
     points = np.vstack([ups[0], leads[0], tips, leads[1], ups[1]])

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from grindvision.errors import InputError
-from grindvision.motion.grinding import GrindingPlan, simulate_passes
+from grindvision.motion.grinding import GrindingPlan
+from grindvision.motion.grinding_replay import Replay
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -35,14 +36,24 @@ KNOWN = 0.1
 MIN_REMOVED = 0.05
 """Less than this fraction of what was planned is nothing taken off."""
 
+BISECTIONS = 8
+"""Halvings of the logarithm's range in which the least coefficient is sought: to a hundredth."""
+
 TRIED_FACTORS, TRIED_OFFSETS = 18, 9
 """So many factors, each with so many offsets within three standard deviations, are tried before the best is refined."""
+
+REFINED = 6
+"""So many of them are refined where factor and offset are both free: a valley runs between these."""
 
 BEYOND_MISFIT = 2.0
 """A lag must be so many times what the simulated passes miss of the measured heights to be one."""
 
 WHOLE = 2.0
 """With this factor every stroke ends on its path."""
+
+BOUND = 2.0
+"""The least coefficient is the one from which the simulated passes miss the measured heights by so many standard
+deviations more than at best."""
 
 
 @by_content
@@ -51,9 +62,9 @@ class LearntRemoval:
     """Preston's coefficient ``k_mm2_n`` with its standard deviation, and the ``factor`` against the planned one.
 
     ``lag_mm``: by how much the strokes ended above their paths in the mean. Where that is too little to be told,
-    the passes cut down to their floors: ``at_least`` is True, and the coefficient is the least with which they would
-    have. ``offset_mm``: how much higher the wheel ran than the plan took it to, with its standard deviation; 0 and 0
-    where it was touched off.
+    the passes cut down to their floors: ``at_least`` is True, and the coefficient is the least that the heights allow.
+    ``offset_mm``: how much higher the wheel ran than the plan took it to, with its standard deviation; 0 and 0 where it
+    was touched off.
     """
 
     k_mm2_n: float
@@ -91,13 +102,13 @@ def learn_removal(
         InputError: the plan has no passes; too few nodes are measured; nothing was taken off.
     """
     used = _used_nodes(plan, after_mm, sigma_mm)
-    weights, after = 1 / np.maximum(sigma_mm[used], 1e-9) ** 2 / alike_nodes, after_mm[used]
+    replay, after = Replay(plan), after_mm[used]
+    sigma = np.hypot(sigma_mm, replay.averaged_mm)[used]
+    weights = 1 / np.maximum(sigma, 1e-9) ** 2 / alike_nodes
     prior_sigma = plan.work.offset_sigma_mm
 
     def left(factor: float, offset_mm: float) -> Floats:
-        for heights in simulate_passes(plan, plan.work.heights.heights_mm - offset_mm, factor):
-            last = heights
-        return last[used] + offset_mm
+        return replay.left_mm(factor, offset_mm)[used]
 
     def cost(log_factor: float, deviations: float = 0.0) -> float:
         factor = float(np.exp(np.clip(log_factor, np.log(SMALLEST), np.log(LARGEST))))
@@ -105,9 +116,10 @@ def learn_removal(
 
     log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
     tried = np.linspace(-3, 3, TRIED_OFFSETS) if prior_sigma else [0.0]
-    found = np.array(min(((one, other) for one in log_factors for other in tried), key=lambda terms: cost(*terms)))
+    starts = sorted(((one, other) for one in log_factors for other in tried), key=lambda terms: cost(*terms))
     free = 2 if prior_sigma else 1
-    found[:free] = _best(lambda terms: cost(*terms), found[:free])
+    ends = [_best(lambda terms: cost(*terms), np.array(start)[:free]) for start in starts[: REFINED if free > 1 else 1]]
+    found = np.append(min(ends, key=lambda terms: cost(*terms)), np.zeros(2 - free))
     factor, offset = float(np.exp(found[0])), float(found[1]) * prior_sigma
     lag = float((left(factor, offset) - left(WHOLE, offset)).mean())
     misfit, misfit_mm = _misfit(after - left(factor, offset), weights, alike_nodes, free)
@@ -115,10 +127,14 @@ def learn_removal(
     if at_least and prior_sigma:
         offset = prior_sigma * float(_best(lambda deviations: cost(np.log(WHOLE), *deviations), found[1:])[0])
     weights = weights / misfit**2
-    k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_sigma_mm)
+    # what the passes as simulated miss beyond noise is no noise: it may lie on one side of all nodes
+    common_mm = float(np.hypot(common_sigma_mm, misfit_mm))
+    k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_mm)
     if at_least:
         # a lag too small to be told apart from an offset would pass for one
-        factor, k_sigma, offset_sigma = min(factor, 1.0), np.inf, min(float(np.hypot(offset_sigma, lag)), prior_sigma)
+        offsets = offset / prior_sigma if prior_sigma else 0.0
+        factor, k_sigma = _least(lambda log_factor: cost(log_factor, offsets), factor, BOUND * misfit), np.inf
+        offset_sigma = min(float(np.hypot(offset_sigma, lag)), prior_sigma)
     planned = plan.options.k_mm2_n
     return LearntRemoval(planned * factor, planned * k_sigma, factor, lag, at_least, offset, offset_sigma)
 
@@ -130,6 +146,19 @@ def _misfit(off_mm: Floats, weights: Floats, alike_nodes: float, free: int) -> t
     noise = len(off_mm) / float((weights * alike_nodes).sum())
     beyond = max(float((off_mm**2).mean()) - noise, 0.0)
     return max(1.0, float(np.sqrt((weights * off_mm**2).sum() / told))), float(np.sqrt(beyond))
+
+
+def _least(cost: Callable[[float], float], best: float, worse: float) -> float:
+    """The factor below the ``best``, and 1, at which the cost has grown by ``worse`` squared; ``SMALLEST`` where it
+    nowhere does."""
+    high, low = float(np.log(min(best, 1.0))), float(np.log(SMALLEST))
+    allowed = min(cost(float(np.log(best))), cost(high)) + worse**2
+    if cost(low) <= allowed:
+        return SMALLEST
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if cost(middle) > allowed else (low, middle)
+    return float(np.exp(low))
 
 
 def _best(cost: Callable[[Floats], float], start: Floats) -> Floats:

@@ -15,17 +15,6 @@ from grindvision.motion.grinding import GrindingPlan, simulate_passes
 Floats = NDArray[np.float64]
 
 
-def refined(grid: HeightMap, times: int) -> HeightMap:
-    """The same map with so many times as many nodes along each side."""
-    x, y = (np.arange((count - 1) * times + 1) * grid.spacing_mm / times for count in grid.shape)
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    shape = (len(x), len(y))
-    ground, heights = (grid.at(values, places).reshape(shape) for values in (grid.ground_mm, grid.heights_mm))
-    normals = grid.at(grid.normals, places)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return HeightMap(grid.T_scan_map, grid.spacing_mm / times, ground, normals.reshape(*shape, 3), heights)
-
-
 def ground_points(
     points: Floats,
     plan: GrindingPlan,
@@ -39,19 +28,26 @@ def ground_points(
     ``T_test_points`` leads from their frame into the one the plan was made in (left out: the same). ``heights``: the
     true ones, a function of points and normals (K, 3) in the frame of the plan (left out: those that it holds).
     """
-    fine = refined(plan.work.heights, times)
+    exact = finer_plan(plan, times)
+    fine = exact.work.heights
     before = np.nan_to_num(fine.heights_mm)
     if heights is not None:
         shown = fine.shown
         before[shown] = np.nan_to_num(heights(*fine.in_scan(np.argwhere(shown) * fine.spacing_mm)))
+    *_, after = simulate_passes(exact, before, factor)
+    return lowered(points, fine, before - after, T_test_points)
+
+
+def finer_plan(plan: GrindingPlan, times: int) -> GrindingPlan:
+    """The same passes over a map with so many times as many nodes along each side: what is taken off between two nodes
+    of the plan's own map is not what straight lines between them say."""
+    fine = plan.work.heights.refined(times)
     places = np.argwhere(np.ones(fine.shape, dtype=bool)) * fine.spacing_mm
     inside, keep = (
         plan.work.heights.at(marks.astype(float), places).reshape(fine.shape) > 0.5
         for marks in (plan.work.inside, plan.work.keep)
     )
-    exact = replace(plan, work=replace(plan.work, heights=fine, inside=inside, keep=keep))
-    *_, after = simulate_passes(exact, before, factor)
-    return lowered(points, fine, before - after, T_test_points)
+    return replace(plan, work=replace(plan.work, heights=fine, inside=inside, keep=keep))
 
 
 def lowered(points: Floats, grid: HeightMap, removed_mm: Floats, T_test_points: Floats | None = None) -> Floats:

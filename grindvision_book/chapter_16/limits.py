@@ -108,4 +108,4 @@ def table_of(loop: Sequence[Job]) -> pd.DataFrame:
 def _touched_mm(scene: GrindingScene, found: Grinding) -> float:
     """How much the arm must err for the wheel to run as one that is touched off."""
     piece = found.stock.pieces[0]
-    return float(np.nanmean(true_map(scene.part.sample, scene.test, piece)[piece.unchanged]))
+    return float(np.nanmean(true_map(scene.part.sample, scene.test, piece.map)[piece.unchanged]))

@@ -19,6 +19,7 @@ from grindvision.cell.scanners import StructuredLightScanner
 from grindvision.cell.solids import Solid
 from grindvision.errors import InputError
 from grindvision.geometry import inverse, move_points, rotate_vectors
+from grindvision.geometry.height_map import HeightMap
 from grindvision.grinding import Grinding, GrindOptions, grind
 from grindvision.grinding_again import GrindAgainOptions, GroundAgain, grind_again
 from grindvision.grinding_files import job_of
@@ -27,7 +28,7 @@ from grindvision.motion.grinding_options import GrindingOptions
 from grindvision.motion.removal import LearntRemoval
 from grindvision.records import by_content
 from grindvision.vision.change.stock import StockPiece
-from grindvision_book.chapter_16.ground_scans import lowered
+from grindvision_book.chapter_16.ground_scans import finer_plan, lowered
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +37,10 @@ STANDS_MM = 0.05
 
 TOLERANCE_MM = 0.2
 """Nothing of the bead may stand higher for the loop to end."""
+
+FINER = 3
+"""The scans of ground parts are made with what was taken off on a map with so many times as many nodes along each side:
+between those of the plan it rises over the bead, and straight lines would take off 2 % too little."""
 
 MAX_SCANS = 4
 """The loop ends after so many scans of ground parts."""
@@ -101,11 +106,11 @@ def true_heights(solid: Solid, scan: Scan, points: Floats, normals: Floats) -> F
     return target_of(solid).heights(move_points(T, points), rotate_vectors(T, normals), 5.0)
 
 
-def true_map(solid: Solid, scan: Scan, piece: StockPiece) -> Floats:
-    """Heights (R, C) of a solid over the ground of a piece's map, which is where the scan shows it."""
-    heights = np.full(piece.map.shape, np.nan)
-    shown = piece.map.shown
-    heights[shown] = true_heights(solid, scan, *piece.map.in_scan(np.argwhere(shown) * piece.map.spacing_mm))
+def true_map(solid: Solid, scan: Scan, over: HeightMap) -> Floats:
+    """Heights (R, C) of a solid over the ground of a map, which is where the scan shows it."""
+    heights = np.full(over.shape, np.nan)
+    shown = over.shown
+    heights[shown] = true_heights(solid, scan, *over.in_scan(np.argwhere(shown) * over.spacing_mm))
     return heights
 
 
@@ -124,8 +129,8 @@ def first_job(scene: GrindingScene, shop: Shop, found: Grinding) -> Job:
     piece, plan = found.stock.pieces[0], found.plans[0]
     if plan is None:
         raise InputError(found.refusals[1])
-    good = true_map(scene.part.sample, scene.test, piece)
-    left = true_map(scene.part.test, scene.test, piece) - good
+    good = true_map(scene.part.sample, scene.test, piece.map)
+    left = true_map(scene.part.test, scene.test, piece.map) - good
     return _driven(shop, piece, plan, good, left, left > STANDS_MM, shop.k_factor)
 
 
@@ -133,7 +138,10 @@ def jobs(scene: GrindingScene, shop: Shop, seed: int, every: int = 1) -> Iterato
     """Plan, grind, scan, learn, plan the rest, until the scan shows nothing that is left to be ground."""
     first = first_plan(scene, shop)
     job = first_job(scene, shop, first)
-    standing, grid = job.left_mm[0], job.piece.map
+    grid = job.piece.map.refined(FINER)
+    good = true_map(scene.part.sample, scene.test, grid)
+    standing = true_map(scene.part.test, scene.test, grid) - good
+    left = _driven_finely(shop, job, good, standing)
     state = job_of(
         first.T_sample_test, (job.piece,), (job.plan,), shop.passes, T_base_scanner=scene.test.T_world_scanner
     )
@@ -143,7 +151,7 @@ def jobs(scene: GrindingScene, shop: Shop, seed: int, every: int = 1) -> Iterato
             np.random.default_rng([seed, number]), scanner=StructuredLightScanner(serial=serial), every=every
         ).test
         T_test_fresh = inverse(scene.test.T_world_scanner) @ fresh.T_world_scanner
-        points = lowered(fresh.points, grid, np.nan_to_num(standing - job.left_mm[-1]), T_test_fresh)
+        points = lowered(fresh.points, grid, np.nan_to_num(standing - left), T_test_fresh)
         asked = GrindAgainOptions(tolerance_mm=TOLERANCE_MM, T_base_scanner=fresh.T_world_scanner)
         after = grind_again(state, scene.sample.points, points, asked)
         yield replace(job, after=after)
@@ -153,8 +161,10 @@ def jobs(scene: GrindingScene, shop: Shop, seed: int, every: int = 1) -> Iterato
         T_sample_fresh = after.compared.registration.T_target_source
         state = job_of(T_sample_fresh, (piece,), (plan,), after.passes, T_base_scanner=fresh.T_world_scanner)
         k_factor = job.k_factor * job.plan.options.k_mm2_n / after.passes.k_mm2_n
-        good = true_map(scene.part.sample, fresh, piece)
+        good = true_map(scene.part.sample, fresh, piece.map)
         job = _driven(shop, piece, plan, good, job.left_mm[-1], job.bead, k_factor)
+        good = true_map(scene.part.sample, fresh, piece.map.refined(FINER))
+        left = _driven_finely(shop, job, good, left)
 
 
 def _driven(
@@ -167,7 +177,21 @@ def _driven(
     k_factor: float,
 ) -> Job:
     """A plan driven on a part that stands ``left`` above its good surface, which is ``good`` over the scanned one."""
-    # the wheel over the surface that the scan shows, against what the plan has it
-    high = float(np.nanmean(good[piece.unchanged])) if shop.touched_off else shop.arm_mm - plan.work.offset_mm
+    high = _high(shop, piece, plan, good)
     steps = [heights + high - good for heights in simulate_passes(plan, good + left - high, k_factor)]
     return Job(piece, plan, (left, *steps), bead, k_factor)
+
+
+def _driven_finely(shop: Shop, job: Job, good: Floats, left: Floats) -> Floats:
+    """What is left after a job, of ``left`` before it, over a map with ``FINER`` times as many nodes along each side.
+
+    ``good``: the good surface over the scanned one there.
+    """
+    high = _high(shop, job.piece, job.plan, good[::FINER, ::FINER])
+    *_, heights = simulate_passes(finer_plan(job.plan, FINER), good + left - high, job.k_factor)
+    return heights + high - good
+
+
+def _high(shop: Shop, piece: StockPiece, plan: GrindingPlan, good: Floats) -> float:
+    """How high the wheel runs over the surface that the scan shows, against what the plan has it."""
+    return float(np.nanmean(good[piece.unchanged])) if shop.touched_off else shop.arm_mm - plan.work.offset_mm
