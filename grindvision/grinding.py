@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points, inverse, move_points
+from grindvision.grinding_region import check_region, difference_there, outside_region, piece_in_region, skin_stock
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
 from grindvision.motion.grinding_beside import check_beside, with_free_leads
@@ -46,7 +47,10 @@ class GrindOptions:
 
     ``place_sigma_mm``: standard deviation of where the arm's wheel meets a surface that the scan shows, by the errors
     of scanner, hand-eye and arm; 0 for a wheel that is touched off on the good surface beside the stock. ``datum_mm``:
-    the faces that fix the pose, as in ``DetectOptions``.
+    the faces that fix the pose, as in ``DetectOptions``. ``region_mm``: where there is something to be ground, in the
+    frame of the test scan: the corners (2, 3) of a box, or points (K, 3) on it; what stands out elsewhere is left, and
+    what may be bending of a deformed part is stock there. ``skin_mm``: so much is taken off the surface in the region
+    as it lies, whatever the sample says.
     """
 
     passes: GrindingOptions = field(default_factory=GrindingOptions)
@@ -57,8 +61,14 @@ class GrindOptions:
     viewpoint_test_mm: ArrayLike | None = None
     place_sigma_mm: float = 0.0
     datum_mm: ArrayLike | None = None
+    region_mm: ArrayLike | None = None
+    skin_mm: float | None = None
 
     def __post_init__(self) -> None:
+        if self.skin_mm is not None and not 0 < self.skin_mm < np.inf:
+            raise InputError(f"a skin of {self.skin_mm} mm was asked for; give a thickness above zero")
+        if self.skin_mm is not None and self.region_mm is None:
+            raise InputError("a skin is taken off in a region only: say where, by its points or a box")
         if not 0 <= self.place_sigma_mm < np.inf:
             raise InputError(f"place_sigma_mm is {self.place_sigma_mm}; give a length, 0 for a wheel touched off")
 
@@ -123,29 +133,29 @@ def grind(
     options = GrindOptions() if options is None else options
     clock = StageClock(finished)
     compared = compare(sample, test, options, clock)
-    found = compared.registration
-    stock = measure_stock(found.source, found.target, found.fine, compared.difference, options.maps)
+    there = None if options.region_mm is None else check_region(compared, options.region_mm)
+    stock = _stock(compared, there, options)
     clock.lap("stock")
     if not stock.pieces:
-        raise DegenerateError(_no_stock(stock))
+        raise DegenerateError(_no_stock(stock) + ("" if there is None else f"; {difference_there(compared, there)}"))
     centrelines = _centrelines(compared.difference)
     keep_out = None if options.keep_out is None else check_points(options.keep_out, "keep-out points")
     plans: list[GrindingPlan | None] = []
     refusals = {}
     for number, (piece, of) in enumerate(zip(stock.pieces, stock.numbers, strict=True), start=1):
         try:
-            if of in compared.doubted:
-                raise InputError(compared.doubted[of])
+            if options.skin_mm is None:
+                _check_stock(compared, piece, of, options.region_mm)
             check_visible(piece)
             plan = plan_grinding(workpiece(piece, keep_out, centrelines, options.place_sigma_mm), options.passes)
-            beside = without_stock(test, compared.difference)
+            beside = _beside(compared, test, options)
             check_beside(plan, beside)
             plans.append(with_free_leads(plan, beside))
         except InputError as error:
             refusals[number] = str(error)
             plans.append(None)
     if all(plan is None for plan in plans):
-        raise InputError(refusals[1])
+        raise InputError(refusals[1] + ("" if there is None else f"; {difference_there(compared, there)}"))
     clock.lap("passes")
     said = [f"piece {number} is not ground: {why}" for number, why in refusals.items()]
     if stock.pits:
@@ -153,9 +163,39 @@ def grind(
             f"material is missing in {counted(len(stock.pits), 'place')}, the largest {stock.pits[0]},"
             f" {stock.pit_depths_mm[0]:.2f} mm deep; it is reported and not ground"
         )
+    if there is not None:
+        said.append(difference_there(compared, there))
     for sentence in (*against_grinding(compared), *said):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
+
+
+def _stock(compared: Comparison, there: Flags | None, options: GrindOptions) -> Stock:
+    """What is to be ground: what stands out, or a skin of the region, of which ``there`` (M,) are surfels."""
+    if there is not None and options.region_mm is not None and options.skin_mm is not None:
+        return skin_stock(compared, there, options.region_mm, options.skin_mm, options.maps)
+    found = compared.registration
+    return measure_stock(found.source, found.target, found.fine, compared.difference, options.maps)
+
+
+def _beside(compared: Comparison, test: ArrayLike, options: GrindOptions) -> Floats:
+    """Points (N, 3) of the test scan that are not ground."""
+    if options.region_mm is None or options.skin_mm is None:
+        return without_stock(test, compared.difference)
+    return outside_region(test, options.region_mm, compared.registration.source.surfels.grid.size_mm)
+
+
+def _check_stock(compared: Comparison, piece: StockPiece, of: int, region_mm: ArrayLike | None) -> None:
+    """Refuse a piece of stock on which the difference's piece ``of`` was measured, where it is no stock for sure.
+
+    Raises:
+        InputError: it may be bending, and no region says that it is stock; it lies outside of the region.
+    """
+    if region_mm is None:
+        if of in compared.doubted:
+            raise InputError(f"{compared.doubted[of]}; then name the place with --region")
+    elif not piece_in_region(piece, region_mm, compared.difference.cell_mm):
+        raise InputError("it lies outside of the region")
 
 
 def against_grinding(compared: Comparison) -> tuple[str, ...]:

@@ -104,6 +104,11 @@ def grind_again(
             cannot be ground; a scanner that moved and whose pose is not known.
     """
     options = GrindAgainOptions() if options is None else options
+    if job.sample.get("skin_mm") is not None:
+        raise InputError(
+            f"this job takes a skin of {job.sample['skin_mm']:g} mm off the surface as it lay, which the good scan does"
+            " not show: compare the scans before and after with `grindvision detect AFTER BEFORE`"
+        )
     clock = StageClock(finished)
     compared = compare(sample, new, options.compare, clock)
     for sentence in against_grinding(compared):

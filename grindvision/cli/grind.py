@@ -6,13 +6,18 @@ import argparse
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose, where_it_stood
 from grindvision.cli.grind_results import piece_facts, plan_facts, write_ways
 from grindvision.cli.grind_robot import PROGRAM_FILES, add_robot_arguments, grind_robot
 from grindvision.cli.parameters import check_count, number, whole
-from grindvision.cli.part import add_box_arguments, add_datum_argument, doubts_before_grinding, read_datum
+from grindvision.cli.part import (
+    add_box_arguments,
+    add_datum_argument,
+    doubts_before_grinding,
+    read_datum,
+)
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import (
     CLOUD_FORMATS,
@@ -54,6 +59,7 @@ examples:
   grindvision grind good.ply test.ply -o job --wheel 20 --width 6 --depth 0.1
   grindvision grind good.ply test.ply -o job --robot ur3 --scanner-pose pose.json --base controller --program urscript
   grindvision grind good.ply test.ply -o job --hand-eye camera/hand_eye.json --robot-pose 412.5 80 310 180 0 45
+  grindvision grind cad_points.ply casting.ply -o job --region face.ply --skin 0.5 --depth 0.25
   grindvision grind --again job after.ply --tolerance-mm 0.15
 """
 
@@ -103,7 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_box_arguments(scans)
     add_field_argument(scans)
     scans.add_argument("--sample-model", action="store_true", help="SAMPLE is made of points of a model, as in detect")
-    add_datum_argument(scans)
+    add_datum_argument(scans, region=True)
     scans.add_argument("--scanner-pose", metavar="FILE.json", help="4x4 matrix T_base_scanner of the last scan, mm")
     add_viewpoint_argument(scans, "--sample-viewpoint", "SAMPLE")
     add_viewpoint_argument(scans, "--test-viewpoint", "TEST or the new scan")
@@ -163,6 +169,9 @@ def run(options: argparse.Namespace) -> int:
 
         if len(options.clouds) != 1:
             raise InputError(f"--again takes one new scan, {len(options.clouds)} clouds were given")
+        for name in ("region", "skin"):
+            if getattr(options, name) is not None:
+                raise InputError(f"--{name} is for a new job; --again knows where the pieces of its job are")
         options.test = options.clouds[0]
         options.output = options.output or str(Path(options.again) / "again")
         return run_again(options, serials)
@@ -226,6 +235,8 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
             viewpoint_test_mm=options.test_viewpoint,
             place_sigma_mm=options.place_sigma or 0.0,
             datum_mm=read_datum(options.datum, options.sample_unit or options.unit),
+            region_mm=read_datum(options.region, options.unit, "--region"),
+            skin_mm=options.skin,
         )
         found = grind(sample, test, asked, work.finished)
         with work.stage("write"):
@@ -265,13 +276,13 @@ def _plan(options: argparse.Namespace, serials: dict[str, str]) -> int:
     return 0
 
 
-def _origin(options: argparse.Namespace) -> dict[str, str | None]:
+def _origin(options: argparse.Namespace) -> dict[str, Any]:
     """Where the good scan of a job is found again."""
     from grindvision.files import sha256
 
     path = str(Path(options.sample).resolve())
     read_as = {"unit": options.unit, "sample_unit": options.sample_unit, "sample_box": options.sample_box}
-    return {"path": path, "sha256": sha256(options.sample), **read_as}
+    return {"path": path, "sha256": sha256(options.sample), "skin_mm": options.skin, **read_as}
 
 
 def _keep_out(options: argparse.Namespace) -> np.ndarray | None:

@@ -53,8 +53,8 @@ def cut_to_box(
     return replace(cloud, points=points, normals=None, grid=None), points
 
 
-def add_datum_argument(group: argparse._ArgumentGroup) -> None:
-    """``--datum``."""
+def add_datum_argument(group: argparse._ArgumentGroup, region: bool = False) -> None:
+    """``--datum``, and ``--region`` with ``--skin`` where asked for."""
     group.add_argument(
         "--datum",
         nargs="+",
@@ -62,10 +62,31 @@ def add_datum_argument(group: argparse._ArgumentGroup) -> None:
         help="the faces that fix the pose, in SAMPLE's frame: a file of points on them, in SAMPLE's unit, or six"
         " numbers, two opposite corners of a box in mm (default: all faces, less one that the others contradict)",
     )
+    if region:
+        _add_region_argument(group)
 
 
-def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
-    """The datum of ``--datum``, if given: corners (2, 3) in mm of a box, or points (K, 3) in mm of a file.
+def _add_region_argument(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--region",
+        nargs="+",
+        metavar="FILE",
+        help="where there is something to be ground, in TEST's frame: a file of points on it, in TEST's unit, or six"
+        " numbers, two opposite corners of a box in mm; what stands out elsewhere is left, and what may be bending of a"
+        " deformed part counts as stock there (default: wherever something stands out)",
+    )
+    group.add_argument(
+        "--skin",
+        type=number,
+        metavar="MM",
+        help="with --region: take so much off the surface there as it lies, whatever SAMPLE says; for a part so"
+        " deformed that what stands out of it cannot be told",
+    )
+
+
+def read_datum(words: list[str] | None, unit: str | None, option: str = "--datum") -> np.ndarray | None:
+    """The datum of ``--datum``, or the region of ``--region``, if given: corners (2, 3) in mm of a box, or points
+    (K, 3) in mm of a file.
 
     Raises:
         InputError: neither a file nor six numbers. FileError: see ``read_cloud``.
@@ -79,9 +100,7 @@ def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
     if len(words) == 1:
         points = finite_points(read_cloud(words[0], unit), words[0])
         if len(points) < 3:
-            raise InputError(
-                f"--datum {words[0]} holds {len(points)} points; give some on every face that fixes the pose"
-            )
+            raise InputError(f"{option} {words[0]} holds {len(points)} points; give some on every face that it means")
         return points
     try:
         corners = np.array([float(word) for word in words])
@@ -89,7 +108,7 @@ def read_datum(words: list[str] | None, unit: str | None) -> np.ndarray | None:
         corners = np.empty(0)
     if len(corners) != 6 or not np.isfinite(corners).all():
         raise InputError(
-            f"--datum has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
+            f"{option} has {len(words)} words; give one file, or six numbers: x y z of two opposite corners"
         )
     return corners.reshape(2, 3)
 

@@ -250,10 +250,7 @@ def _strokes(
     lines = grinding_lines(work.heights, region, options.pattern, width, options.overlap, work.centreline_mm)
     floors = _floors(work, options, floor)
     strokes = []
-    for line in lines:
-        poses = poses_along(work.heights, resampled(line, options.path_step_mm))
-        if poses is None:
-            continue
+    for poses in (run for line in lines for run in poses_along(work.heights, resampled(line, options.path_step_mm))):
         lifts = lifts_over(nodes, floors, poses, shape)
         if shape.kind == WHEEL:
             lifts = np.maximum(lifts, lifts_of_sides(nodes, floors, poses, shape))

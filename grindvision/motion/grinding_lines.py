@@ -61,17 +61,18 @@ def grinding_lines(
     return lines or [_stroke(heights, region)]
 
 
-def poses_along(heights: HeightMap, line: Floats) -> Floats | None:
-    """Tips on the ground and axes (K, 12) along a line (K, 2) of the map; where the ground is not shown the line ends.
-
-    None where it shows fewer than two places.
-    """
+def poses_along(heights: HeightMap, line: Floats) -> list[Floats]:
+    """Tips on the ground and axes (K, 12) along a line (K, 2) of the map, run by run; where the ground is not shown a
+    run ends. Runs of fewer than two places are none."""
     feet = np.column_stack([line, heights.at(heights.ground_mm, line)])
     normals = heights.at(heights.normals, line)
-    known = np.isfinite(feet).all(axis=1) & np.isfinite(normals).all(axis=1)
-    if known.sum() < 2:
-        return None
-    feet, normals = feet[known], normals[known]
+    known = np.asarray(np.isfinite(feet).all(axis=1) & np.isfinite(normals).all(axis=1))
+    runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(known)) + 1)
+    return [_posed(feet[run], normals[run]) for run in runs if known[run[0]] and len(run) > 1]
+
+
+def _posed(feet: Floats, normals: Floats) -> Floats:
+    """Tips and axes (K, 12) over feet (K, 3) with normals (K, 3) that need not be unit."""
     normals = gaussian_filter1d(normals, 2.0, axis=0, mode="nearest")
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     ahead = np.gradient(feet, axis=0)
