@@ -27,7 +27,7 @@ def compared(scans):
     """Their comparison, which takes most of the time, for several jobs."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GrindvisionWarning)
-        return compare(*scans, GrindOptions(), StageClock())
+        return compare(scans[0], scans[1], GrindOptions(), StageClock())
 
 
 def ground_with(monkeypatch, scans, known, **options):
