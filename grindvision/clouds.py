@@ -271,7 +271,7 @@ def extent(points: ArrayLike) -> Floats:
     return high - low
 
 
-def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = None) -> None:
+def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = None, comment: str = "") -> None:
     """Write a cloud as a binary little-endian PLY, whole or not at all.
 
     The numbers are float32, or float64 where float32 would lose more than a micrometre.
@@ -280,6 +280,7 @@ def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = N
         path: file; folders that are missing are made.
         points: (N, 3), mm.
         normals: unit normals (N, 3), where known.
+        comment: a line for the header, ASCII.
 
     Raises:
         FileError: the file cannot be written.
@@ -295,7 +296,8 @@ def write_ply(path: str | Path, points: ArrayLike, normals: ArrayLike | None = N
     columns = [points] if normals is None else [points, np.asarray(normals)]
     names = ["x", "y", "z", "nx", "ny", "nz"][: 3 * len(columns)]
     wide = len(points) > 0 and np.nanmax(np.abs(points), initial=0.0) > FLOAT32_MM
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header = ["ply", "format binary_little_endian 1.0", *([f"comment {comment}"] if comment else [])]
+    header += [f"element vertex {len(points)}"]
     header += [f"property {'double' if wide else 'float'} {name}" for name in names] + ["end_header", ""]
     with write_whole(path) as temporary, open(temporary, "wb") as file:
         file.write("\n".join(header).encode())

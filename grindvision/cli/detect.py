@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from grindvision.cli.camera_pose import add_camera_arguments, scanner_pose, where_it_stood
 from grindvision.cli.deformation_file import DEFORMATION_FILE, deformation_text
+from grindvision.cli.facing import viewpoint_of
 from grindvision.cli.parameters import check_count, number, whole
 from grindvision.cli.part import add_box_arguments, add_datum_argument, cut_to_box, read_datum
 from grindvision.cli.report import Run, add_output_arguments
@@ -182,6 +183,8 @@ def read_sample_and_test(
     units = options.sample_unit or options.unit, options.unit
     good, scan = read_pair((options.sample, options.test), units, mirrored)
     test = finite_points(scan, options.test)
+    if field is None:  # which is for clouds in the scanner's own frame
+        options.test_viewpoint = viewpoint_of(options.test, scan, options.test_viewpoint, "--test-viewpoint")
     if not isinstance(good, Cloud):
         if options.sample_viewpoint is not None:
             raise InputError("--sample-viewpoint is for a scan, and SAMPLE is a model; leave it out")
@@ -191,7 +194,10 @@ def read_sample_and_test(
         scan, test = cut_to_box(scan, test, options.test_box, options.test, "--test-box")
         return good, test, [good, scan]
     sample = finite_points(good, options.sample)
-    if field is not None:
+    if field is None:
+        seen_from = viewpoint_of(options.sample, good, options.sample_viewpoint, "--sample-viewpoint")
+        options.sample_viewpoint = seen_from
+    else:
         test = corrected(field, scan, test, options.test)
         if not options.sample_model:
             check_own_frame(options.sample_viewpoint)

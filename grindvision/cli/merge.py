@@ -7,6 +7,7 @@ import warnings
 from pathlib import Path
 
 from grindvision.cli.camera_pose import add_convention_arguments, flange_poses, read_camera, stated_convention
+from grindvision.cli.facing import FACES_CAMERA
 from grindvision.cli.report import Run, add_output_arguments
 from grindvision.cli.scans import CLOUD_FORMATS, add_unit_argument, read_scans, size_question
 from grindvision.errors import GrindvisionWarning, InputError
@@ -20,7 +21,7 @@ together stay where the arm puts them in the mean: say --as-posed to leave them 
 results in DIR:
   merged.ply       all points in one frame, for detect and groove: they take --scanner-pose with the identity, and
                    groove --base controller where it has a --robot; with normals turned to the camera of each view, by
-                   which groove tells the side where nothing else does
+                   which detect and grind tell the side, and groove where nothing else does
   report.png       did it work? the views, a colour each, and how far each pair is apart where it overlaps
   report.json      meeting_mm: by the poses, the median, every pair, the worst one; fitted_mm: after the views were
                    fitted to each other; timings, versions, parameters; written last
@@ -101,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
             warnings.warn(text, GrindvisionWarning, stacklevel=1)
         with work.stage("write"):
             normals = [rotate_vectors(pose, view_normals(view)) for pose, view in zip(placed, views, strict=True)]
-            write_ply(work.place / "merged.ply", points, np.vstack(normals))
+            write_ply(work.place / "merged.ply", points, np.vstack(normals), FACES_CAMERA)
         with work.stage("picture"):
             joined = np.split(points, np.cumsum([len(view) for view in views])[:-1])
             draw(meeting, joined, frame, worst, work.warnings, work.place / "report.png")
