@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.errors import DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import check_points, inverse, move_points
+from grindvision.grinding_elsewhere import left_standing
 from grindvision.grinding_region import check_region, difference_there, outside_region, piece_in_region, skin_stock
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, Workpiece, plan_grinding
@@ -165,7 +166,7 @@ def grind(
         )
     if there is not None:
         said.append(difference_there(compared, there))
-    for sentence in (*against_grinding(compared), *said):
+    for sentence in (*against_grinding(compared), *left_standing(compared.difference), *said):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Grinding(compared, stock, tuple(plans), refusals, clock.laps_s)
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from grindvision.errors import GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, rotate_vectors
 from grindvision.grinding import GrindOptions, against_grinding, without_stock, workpiece
+from grindvision.grinding_elsewhere import found_elsewhere
 from grindvision.grinding_files import GrindingJob
 from grindvision.models import Model
 from grindvision.motion.grinding import GrindingPlan, plan_grinding
@@ -120,6 +121,8 @@ def grind_again(
     learnt = _learnt(job, pieces)
     tolerance_mm = options.tolerance_mm or 2 * pieces[0].level_mm
     judged = tuple(judge_remaining(piece, tolerance_mm) for piece in pieces)
+    for sentence in found_elsewhere(compared, pieces, tolerance_mm):
+        warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     passes = options.passes(_with_learnt(job, learnt))
     plans = list[GrindingPlan | None]()
     for number, (piece, old, told, verdict) in enumerate(zip(pieces, job.plans, learnt, judged, strict=True), start=1):
