@@ -16,6 +16,7 @@ from grindvision.vision.change.change_detection import Difference, find_change
 from grindvision.vision.change.diagnostics import NAMES, diagnose
 from grindvision.vision.change.mixed_pixels import diagnose_mixed_pixels
 from grindvision.vision.change.moved_body import check_one_body
+from grindvision.vision.change.smoothed_edges import SmoothedEdges, find_smoothed_edges, smoothing_doubts
 from grindvision.vision.registration.datum import refine_on_datum
 from grindvision.vision.registration.deformed_registration import DeformedPart, register_deformed
 from grindvision.vision.registration.face_offsets import FaceReading, read_faces
@@ -51,8 +52,9 @@ class Comparison:
 
     ``faces``: which faces fixed the pose, and which are off as a whole. ``model``: the whole surface, where the sample
     was a model. ``deformed``: how the part is bent against the sample, where no rigid pose fits; the registration's
-    target is then bent like it. ``doubted``: pieces of the difference, by their number from 0, that may be bending and
-    not stock, and why: none of them is ground.
+    target is then bent like it. ``doubted``: pieces of the difference, by their number from 0, that may be bending or
+    smoothing and not stock, and why: none of them is ground. ``smoothed``: how the scans differ along their rims, where
+    that is more than noise explains and pieces were found.
     """
 
     registration: Registration
@@ -62,6 +64,7 @@ class Comparison:
     deformed: DeformedPart | None
     doubted: dict[int, str]
     seed: int
+    smoothed: SmoothedEdges | None = None
 
     def diagnose(self) -> tuple[str, ...]:
         """What speaks against the comparison, in words."""
@@ -69,7 +72,10 @@ class Comparison:
         against = self.faces.diagnose(nothing_found=not difference.clusters)
         if not self.faces.off:  # a face that is off looks like another scale, and like missing material elsewhere
             against += diagnose(found.source, found.target, found.fine, difference, self.seed, bool(self.faces.sole))
-        against += diagnose_mixed_pixels(found.source, found.target, found.fine, difference)
+        if self.smoothed is None:
+            against += diagnose_mixed_pixels(found.source, found.target, found.fine, difference)
+        else:
+            against += (str(self.smoothed),)
         against += () if self.model is None else diagnose_model(self.model.facets)
         return against + (() if self.deformed is None else self.deformed.diagnose())
 
@@ -95,9 +101,14 @@ def compare(sample: ArrayLike | Model, test: ArrayLike, options: CompareOptions,
     difference = find_change(found.source, found.target, found.fine, settled=faces.settled, place_variance=of_field)
     if deformed is None and options.datum_mm is None:
         check_one_body(found.source, found.target, found.fine, difference, faces)
-    doubted = {} if deformed is None else bending_doubts(difference, found.source.surfels.normals, deformed)
+    smoothed = None
+    if difference.clusters and deformed is None and not faces.off:  # a face that is off differs along its rims, too
+        smoothed = find_smoothed_edges(found.source, found.target, found.fine, difference)
+    doubted = smoothing_doubts(difference, smoothed)
+    if deformed is not None:
+        doubted = bending_doubts(difference, found.source.surfels.normals, deformed)
     clock.lap("difference")
-    return Comparison(found, difference, faces, registered.surface, deformed, doubted, options.seed)
+    return Comparison(found, difference, faces, registered.surface, deformed, doubted, options.seed, smoothed)
 
 
 def _faces(found: Registration, datum_mm: ArrayLike | None, seed: int, deformed: DeformedPart | None) -> FaceReading:

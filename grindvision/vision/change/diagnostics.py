@@ -28,6 +28,10 @@ MIN_OVERLAP = 0.35
 #: Two sound scanners agree on a length to about a thousandth; this is four times as much.
 MAX_SCALE = 0.004
 
+#: From twice what two sound scanners agree to another scale is told where it moves the part's ends by more than the
+#: level of detection and by what planes through coarse cells may err, a tenth of the cell.
+SMALL_SCALE, OF_CELL = 0.002, 0.1
+
 
 def diagnose(
     source: Scan,
@@ -48,7 +52,9 @@ def diagnose(
             " and so little hardly fixes the pose; scan with more overlap"
         )
     scale, deviation = relative_scale(source, target, registration, seed=seed)
-    if abs(scale - 1) > max(MAX_SCALE, 5 * deviation):
+    ends_mm = float(np.linalg.norm(source.surfels.points - source.surfels.points.mean(axis=0), axis=1).max())
+    shows = abs(scale - 1) * ends_mm > difference.level_of_detection_mm + OF_CELL * difference.cell_mm
+    if abs(scale - 1) > max(SMALL_SCALE if shows else MAX_SCALE, 5 * deviation):
         found.append(
             f"the test scan is {abs(scale - 1):.1%} {'larger' if scale > 1 else 'smaller'} than the sample: two"
             " scanners, an old calibration or a warm part; what stands out may be nothing else, so mend that first"
