@@ -15,6 +15,7 @@ from scipy.ndimage import correlate1d, gaussian_filter1d
 from grindvision.geometry import unit_vectors
 from grindvision.records import by_content
 from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
+from grindvision.vision.seam.seam_polynomial import fit_polynomial
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along
 
 Floats = NDArray[np.float64]
@@ -31,8 +32,13 @@ LOCAL = 3.0
 MAX_SLOPE_OFF = 0.6
 #: A face bends if a parabola leaves less than this fraction of what a straight line leaves.
 CLEARLY_BENT = 0.9
+#: The curvature of a face changes along the seam as a polynomial up to this degree, and where too few stations tell
+#: one, of this. Stations whose variance is so many times the usual one do not count.
+BENDS, MAX_VARIANCES = (4, 2), 25.0
 #: A rounded corner is left out up to this part of the reach of the fit.
 MAX_ROUNDING = 0.45
+#: Faces are fitted up to so many cells from the seam.
+FAR_CELLS = 4.5
 #: What a fit over too much of a bent surface misses shows when it is fitted over this part of it.
 NARROW = 0.75
 
@@ -54,7 +60,7 @@ class Scale:
     @property
     def far(self) -> float:
         """Faces are fitted up to here."""
-        return 4.5 * self.cell
+        return FAR_CELLS * self.cell
 
 
 @by_content
@@ -73,7 +79,10 @@ class Faces:
 @by_content
 @dataclass(frozen=True)
 class FaceFit:
-    """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points."""
+    """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points.
+
+    ``bend_sigma`` (2,) is the standard deviation of a face's curvature over all stations, by how it scatters.
+    """
 
     coefficients: Floats
     covariance: Floats
@@ -82,6 +91,7 @@ class FaceFit:
     coverage: Floats
     inside: tuple[Integers, Integers]
     purity: Floats
+    bend_sigma: Floats
 
     def part(self, here: slice) -> FaceFit:
         """The same parabolas at some of the stations."""
@@ -115,9 +125,9 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
     outward = np.einsum("kij,ij->ki", faces.outward[:, station], offset)
     height = np.einsum("kij,ij->ki", faces.normal[:, station], offset)
     nearer = outward[0] > outward[1]
-    window = max(1.2 * scale.cell, 2.0 * scale.spacing) / curve.step_mm
+    window = window_mm(scale) / curve.step_mm
     count = len(curve)
-    results, bent, inside, coverage, purity = [], [], [], [], []
+    results, bent, inside, coverage, purity, bend_sigma = [], [], [], [], [], []
     for side in range(2):
         mine = (nearer if side == 0 else ~nearer) & (outward[side] > scale.near) & (outward[side] < scale.far)
         mine &= np.abs(height[side]) < MAX_SLOPE_OFF * outward[side] + 3 * scale.noise
@@ -128,6 +138,12 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         round_ = _parabola(at, a, e, count, window, 3)
         is_bent = round_[2] < CLEARLY_BENT * flat[2]
         coefficients, covariance, noise, weights = round_ if is_bent else flat
+        scatter = 0.0
+        if is_bent:
+            raw = coefficients[:, 2]
+            coefficients, covariance = _steadily_bent(coefficients, covariance, 2 * np.sqrt(np.pi) * window)
+            scatter = MAD_TO_STD * float(np.median(np.abs(raw - coefficients[:, 2])))
+        bend_sigma.append(scatter * np.sqrt(2 * np.sqrt(np.pi) * window / count))
         results.append((coefficients, covariance, noise))
         bent.append(bool(is_bent))
         near = a < scale.near + 1.5 * scale.cell
@@ -145,7 +161,13 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         np.stack(coverage),
         (inside[0], inside[1]),
         np.stack(purity),
+        np.array(bend_sigma),
     )
+
+
+def window_mm(scale: Scale) -> float:
+    """Standard deviation, mm, of the window along the seam over which faces are fitted."""
+    return max(1.2 * scale.cell, 2.0 * scale.spacing)
 
 
 def intersections(curve: SeamCurve, faces: Faces, sides: FaceFit) -> tuple[Floats, Floats]:
@@ -231,6 +253,22 @@ def _parabola(
     # A Gaussian window of sigma w stations counts as 2 sqrt(pi) w of them.
     covariance[:, :terms, :terms] = inverse[:, :, :terms] * noise**2 / (np.sqrt(2.0))
     return coefficients, covariance, noise, weights
+
+
+def _steadily_bent(coefficients: Floats, covariance: Floats, alike: float) -> tuple[Floats, Floats]:
+    """Parabolas (S, 3) whose curvature changes along the seam only as far as their scatter tells, with covariances.
+
+    The curvature of a single window carries the noise that neighbouring points share to the root many times enlarged.
+    ``alike`` stations are as good as a single one.
+    """
+    variance = np.maximum(covariance[:, 2, 2], 1e-300)
+    known = np.where(covariance[:, 2, 2] < MAX_VARIANCES * np.median(variance), 1 / variance, 0.0)
+    steady = fit_polynomial(coefficients[:, 2:], known, alike, (0, *BENDS))
+    share = covariance[:, :, 2] / variance[:, None]
+    coefficients = coefficients + share * (steady.line - coefficients[:, 2:])
+    kept = min((steady.degree + 1) * alike / len(coefficients), 1.0)
+    covariance = covariance - (1 - kept) * variance[:, None, None] * share[:, :, None] * share[:, None, :]
+    return coefficients, covariance
 
 
 def _over_window(sums: ArrayLike, window: float, power: int) -> Floats:

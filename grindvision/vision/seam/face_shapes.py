@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from grindvision.geometry import vector_angle
+from grindvision.vision.seam.face_fit import FAR_CELLS
 from grindvision.vision.seam.joint_fit import JointFit
 from grindvision.vision.surface.surfels import Surfels
 
@@ -23,6 +24,9 @@ REACH_CELLS = 8.0
 #: turns by half of it, a tube by several times), or does not explain the surfels better: by this logarithm of the ratio
 #: of likelihoods, of every second surfel, as neighbours share points and errors.
 PLANE_TURN_RAD, MIN_LOG_RATIO, ALIKE = np.radians(12.0), 5.0, 2
+#: A face whose points bend away from the seam by so many times this over the reach of their fit, less so many
+#: standard deviations, is no plane.
+BULGE_TURNS, BULGE_SIGMAS = 2.0, 5.0
 #: A plane may bend as much as its curvature and so many standard deviations allow.
 SURE_DEVIATIONS = 2.0
 #: A cylinder leaves at most this fraction of what a plane leaves.
@@ -68,7 +72,14 @@ class Surroundings:
 def face_shapes(fit: JointFit, surfels: Surfels, normals: Floats) -> tuple[FaceShape, FaceShape]:
     """Shapes of the two faces, from the surfels (M) with normals (M, 3) that lie on them near the seam."""
     noise = float(np.median(surfels.noise_mm))
-    first, second = (_shape(points, facing, noise) for points, facing in face_surfels(fit, surfels, normals))
+    found = [_shape(points, facing, noise) for points, facing in face_surfels(fit, surfels, normals)]
+    # The points near the seam tell a bend that the few surfels there do not.
+    surely = -fit.bend_per_mm - BULGE_SIGMAS * fit.bend_sigma_per_mm
+    turn = surely * FAR_CELLS * surfels.grid.size_mm
+    first, second = (
+        FaceShape(FREE_FORM, bulges=True) if shape.name == PLANE and turn[k] > BULGE_TURNS * PLANE_TURN_RAD else shape
+        for k, shape in enumerate(found)
+    )
     return first, second
 
 

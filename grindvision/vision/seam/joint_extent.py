@@ -13,11 +13,15 @@ from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, fit_faces, i
 from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 #: Part of the reach over which a corner is looked at closely.
 CLOSE = 0.4
 #: Leg lengths end where less than this fraction of the usual number of points lies on the face.
 LEG_COVERAGE = 0.3
+#: A parabola follows a face that bends, as far as it is fitted, to this part of the bend.
+BEND_FOLLOWED = 0.25
 #: A camera measures no surface that it sees flatter than this (83 deg of incidence), the cosine; what seems to be one
 #: are pixels mixed from a near and a far body, which lie along the rays.
 MIN_FACING = 0.12
@@ -32,6 +36,13 @@ MAX_BULGE_CELLS, BENT_ROUNDING = 0.25, 0.22
 #: otherwise than the fit, and what lies off them near the root says nothing of a rounding. (Windows of pixels leave
 #: less noise from point to point than over a face.)
 FOLLOWED, FOLLOWED_CELLS = 1.5, 0.07
+#: A blurred corner is left out up to one of these parts of the reach. A face bends towards the other one by so many
+#: standard deviations, and beyond the blur by less than this part of that.
+BLURRED, BENT_SIGMAS, STILL_BENT = (0.25, 0.45), 3.0, 0.5
+#: Interruptions longer than so many stations and up to so many cells are bridged to stretches of so many cells, over
+#: which the faces turn as in the median of so many stations before it, within this fraction or this angle.
+MIN_HIDDEN, BRIDGED_CELLS, STRETCH_CELLS = 2, 12.0, 2.0
+END_STATIONS, ALIKE_FRACTION, ALIKE_RAD = 9, 0.3, np.radians(10.0)
 #: A face seen that flat holds less than this fraction of the other one's points.
 THIN = 0.5
 
@@ -45,10 +56,14 @@ def leg_lengths(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, 
     width = max(2.0 * scale.spacing, scale.cell / 3)
     bins = int(reach / width)
     bend = sides.coefficients[..., 2]
+    gentle = np.clip(bend, -0.2 / reach, 0.2 / reach)
     legs = np.empty((2, len(curve)))
     for side in range(2):
-        off = height[side] - np.clip(bend[side], -0.2 / reach, 0.2 / reach)[station] * outward[side] ** 2
+        fitted = np.minimum(np.abs(outward[side]), scale.far) ** 2
+        beyond = outward[side] ** 2 - fitted
+        off = height[side] - bend[side][station] * fitted - gentle[side][station] * beyond
         tolerance = 4 * sides.noise[side] + 0.06 * np.abs(outward[side]) + 0.02 * scale.cell
+        tolerance += BEND_FOLLOWED * np.abs(bend[side])[station] * fitted
         on = (outward[side] > 0) & (np.abs(off) < tolerance)
         place = station[on] * bins + np.minimum((outward[side][on] / width).astype(int), bins - 1)
         counts = np.bincount(place, minlength=len(curve) * bins).reshape(-1, bins).astype(float)
@@ -99,6 +114,23 @@ def rounding_mm(points: Floats, curve: SeamCurve, faces: Faces, fitted: FaceFit,
     return radius
 
 
+def blur_mm(points: Floats, curve: SeamCurve, faces: Faces, fitted: FaceFit, scale: Scale) -> float:
+    """Distance from the root, mm, up to which a face of a concave corner bends towards the other one and not beyond.
+
+    A camera that matches windows of pixels rounds corners, all the farther on a face that it sees flat, and a bead
+    does so as well: a parabola bends along with it, and meets the other face too soon. A face that goes on bending
+    farther out is bent.
+    """
+    bend = np.median(fitted.coefficients[..., 2], axis=1)
+    towards = bend > BENT_SIGMAS * fitted.bend_sigma
+    for part in BLURRED:
+        if part * scale.far > scale.near and towards.any():
+            outer = fit_faces(points, curve, faces, replace(scale, rounding=part * scale.far))
+            if outer is not None and (np.median(outer.coefficients[..., 2], axis=1) < STILL_BENT * bend)[towards].all():
+                return part * scale.far
+    return scale.rounding
+
+
 def sharpness(points: Floats, curve: SeamCurve, faces: Faces, dihedral_rad: float, scale: Scale) -> float:
     """Fraction of the turn that the faces show when only what is near the root is fitted."""
     near = replace(scale, cell=CLOSE * scale.cell, rounding=0.0)
@@ -125,3 +157,34 @@ def facing(stations: Floats, faces: Floats, sides: FaceFit, towards: Floats | No
     cosines = np.einsum("ksi,si->ks", faces, unit_vectors(towards - stations))
     points = gaussian_filter1d(sides.coverage, 2.0, axis=1)
     return np.asarray(np.where(points < THIN * points[::-1], cosines, 1.0).min(axis=0))
+
+
+def main_run(shown: Flags, turn_rad: Floats, cell: float) -> tuple[int, int] | None:
+    """First and behind the last station of the longest run that shows the seam; interruptions are bridged.
+
+    What lies behind an interruption counts if the faces turn there (S,), rad, as they do before it, over a stretch
+    that shows it. ``cell`` is in stations.
+    """
+    if shown.sum() < 4:
+        return None
+    at = np.flatnonzero(shown)
+    pieces = np.split(at, np.flatnonzero(np.diff(at) > MIN_HIDDEN) + 1)
+    best = int(np.argmax([len(piece) for piece in pieces]))
+    first, last = int(pieces[best][0]), int(pieces[best][-1]) + 1
+    for piece in pieces[best + 1 :]:
+        if not _goes_on(turn_rad, piece, slice(max(last - END_STATIONS, first), last), cell, int(piece[0]) - last):
+            break
+        last = int(piece[-1]) + 1
+    for piece in pieces[:best][::-1]:
+        here = slice(first, min(first + END_STATIONS, last))
+        if not _goes_on(turn_rad, piece, here, cell, first - int(piece[-1]) - 1):
+            break
+        first = int(piece[0])
+    return (first, last) if last - first >= 4 and shown[first:last].mean() > 0.4 else None
+
+
+def _goes_on(turn_rad: Floats, piece: Integers, end: slice, cell: float, hidden: int) -> bool:
+    """Whether stations (K,) behind so many hidden ones show the corner that ends at the stations ``end``."""
+    usual = float(np.median(turn_rad[end]))
+    alike = abs(float(np.median(turn_rad[piece])) - usual) < max(ALIKE_FRACTION * usual, ALIKE_RAD)
+    return hidden <= BRIDGED_CELLS * cell and len(piece) >= STRETCH_CELLS * cell and alike

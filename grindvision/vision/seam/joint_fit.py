@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from grindvision.geometry import unit_vectors
+from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.records import by_content
 from grindvision.vision.seam.face_fit import (
     FaceFit,
@@ -24,11 +24,21 @@ from grindvision.vision.seam.face_fit import (
     intersections,
     narrower_meeting,
     root_normals,
+    window_mm,
 )
-from grindvision.vision.seam.joint_extent import MIN_FACING, facing, leg_lengths, rounding_mm, sharpness
+from grindvision.vision.seam.joint_extent import (
+    MIN_FACING,
+    blur_mm,
+    facing,
+    leg_lengths,
+    main_run,
+    rounding_mm,
+    sharpness,
+)
 from grindvision.vision.seam.ring_line import RING_CELLS, is_ring, joined_smoothly, one_round, overlap, wrapped
+from grindvision.vision.seam.root_line import root_line, smooth_root
 from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
-from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
+from grindvision.vision.seam.seam_smoothing import smooth_along
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -37,7 +47,7 @@ Flags = NDArray[np.bool_]
 #: Passes of fitting the faces and moving the curve onto their intersection: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 4, 14
 #: A line that no longer grows is fitted so many times more: while it grows it is stiff, and its ends are too straight.
-PASSES_AT_REST = 2
+PASSES_AT_REST = 1
 #: The rounding of the corner is measured after these passes.
 ROUNDING_PASSES = 1, 3
 #: The points around the curve are gathered anew after so many passes, so many cells to all sides.
@@ -50,6 +60,8 @@ HOPEFUL_RAD, HOPEFUL_DEVIATIONS = np.radians(10.0), 3.0
 MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
 #: Before it is smoothed a line goes on by so many of the smoother's lengths, with the bend over so many at its end.
 CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
+#: Weights of stations in a root line are between these parts of the usual one: each shows some place of the root.
+LEAST_WEIGHT, MOST_WEIGHT = 0.04, 4.0
 #: Fractions of the usual number of points near the seam below which a station, and with so many to each side, does not
 #: show a face: pixels mixed behind its end are few, and a single one makes no station.
 MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.18, 2.0
@@ -64,11 +76,11 @@ class JointFit:
     half-way between the faces' normals, which are ``faces.normal``; ``dihedral_rad`` (S,) the angle between these, with
     ``dihedral_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
-    seam, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that is there close to the root
-    already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of the angle at which the
-    flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of themselves moved the root
-    by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) is the same for faces fitted right up to the root,
-    which take in the rounding of a corner, and whose is ``bend_per_mm``.
+    seam with its standard deviation, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that
+    is there close to the root already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of
+    the angle at which the flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of
+    themselves moved the root by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) is the same for faces
+    fitted right up to the root, which take in the rounding of a corner, and whose is ``bend_per_mm``.
     """
 
     curve: SeamCurve
@@ -82,6 +94,7 @@ class JointFit:
     shown: Flags
     noise_mm: Floats
     bend_per_mm: Floats
+    bend_sigma_per_mm: Floats
     members: Integers
     sharpness: float
     facing: Floats
@@ -160,7 +173,7 @@ def _fit_along(
         shown &= facing(curve.stations, root_normals(faces, slopes), fitted, towards) > MIN_FACING
         if number == 1 and not _hopeful(faces, slopes, fitted, shown):
             return None
-        run = _main_run(shown, int(12 * scale.cell / step))
+        run = main_run(shown, vector_angle(*root_normals(faces, slopes)), scale.cell / step)
         if run is None:
             return None
         here = slice(run[0], run[1])
@@ -171,6 +184,8 @@ def _fit_along(
         at_rest = 0 if growing else at_rest + 1
         if number in ROUNDING_PASSES:
             scale = replace(scale, rounding=rounding_mm(points, curve, faces, fitted, scale))
+        if concave and at_rest == 1:
+            scale = replace(scale, rounding=blur_mm(points, curve, faces, fitted, scale))
         curve, faces, fitted = _cut(curve, faces, fitted, here)
         displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
@@ -179,8 +194,13 @@ def _fit_along(
         weight = np.where(shown, 1.0, 0.0)
         stiffness = (GROWING_CELLS if growing else 1.0) * scale.cell
         length_mm = stiffness if growing else stiffness / 2
-        lateral = [smooth_along(displacement[:, k], weight, length_mm, step, robust=True) for k in range(2)]
-        stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
+        if growing:
+            lateral = [smooth_along(displacement[:, k], weight, length_mm, step, robust=True) for k in range(2)]
+            stations = curve.stations + lateral[0][:, None] * curve.across + lateral[1][:, None] * curve.up
+        else:
+            # A curve that follows the noise from pass to pass drifts away along it.
+            known = _levels(faces, fitted, slopes, shown)[0]
+            stations = smooth_root(curve, displacement, known, window_mm(scale) / curve.step_mm)
         turned = [smooth_along(root_normals(faces, slopes)[k], weight, 2 * scale.cell, step) for k in range(2)]
         curve = _smooth(curve, stiffness / 2, stations, unit_vectors(turned[0] + turned[1]))
         place = cKDTree(stations).query(curve.stations)[1]
@@ -231,25 +251,16 @@ def _result(
 ) -> JointFit:
     displacement, slopes, shown, closed = fitted
     normals = root_normals(faces, slopes)
-    turn = np.arccos(np.clip(np.einsum("si,si->s", normals[0], normals[1]), -1, 1))
-    sine = np.maximum(np.sin(turn), 0.05)
-    level = np.sqrt(sides.covariance[..., 0, 0].sum(axis=0)) / sine
+    weight, level, turn = _levels(faces, sides, slopes, shown)
+    line = root_line(curve, displacement, weight, level, window_mm(scale) / curve.step_mm)
     dihedral_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
-    weight = np.where(shown, 1 / np.maximum(level, 1e-9) ** 2, 0.0)
-    weight = np.minimum(weight, 4 * np.median(weight[shown]))
-    smooth = np.stack([smooth_to_noise(displacement[:, k], weight, curve.step_mm)[0] for k in range(2)], axis=1)
-    smooth = smooth_along(smooth, np.ones(len(smooth)), scale.cell, curve.step_mm)
-    # What neighbouring stations scatter about the smooth line, against what the fits promise.
-    off = np.linalg.norm(displacement - smooth, axis=1)[shown] / np.sqrt(2)
-    inflation = max(1.0, float(MAD_TO_STD * np.median(off) / max(np.median(level[shown]), 1e-9)))
     bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
     near, swayed = sides, bent
     if scale.rounding > 0:
         whole = replace(scale, rounding=0.0)
         near = fit_faces(points, curve, faces, whole) or sides
         swayed = narrower_meeting(points, curve, faces, intersections(curve, faces, near)[0], weight, whole)
-    smooth = smooth + bent
-    root = curve.stations + smooth[:, :1] * curve.across + smooth[:, 1:] * curve.up
+    root = line.places + bent[:, :1] * curve.across + bent[:, 1:] * curve.up
     turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
     out = unit_vectors(np.stack([smooth_along(normals[k], even, 2 * scale.cell, curve.step_mm) for k in (0, 1)]))
@@ -257,26 +268,26 @@ def _result(
     moved = replace(curve, stations=root)
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
+    sigma = np.maximum(line.scatter * line.sigma * level, 0.02 * scale.spacing)
     result = JointFit(
-        moved, root, np.maximum(inflation * level, 0.02 * scale.spacing), unit_vectors(out[0] + out[1]), turned,
-        turn, inflation * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(near.coefficients[..., 2], axis=1),
+        moved, root, sigma, unit_vectors(out[0] + out[1]), turned,
+        turn, line.scatter * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(near.coefficients[..., 2], axis=1),
+        2 * near.bend_sigma,
         np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards),
         np.linalg.norm(bent, axis=1), np.linalg.norm(swayed, axis=1), closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
 
-def _main_run(shown: Flags, bridge: int) -> tuple[int, int] | None:
-    """First and behind the last station of the longest run that shows the seam; interruptions are bridged."""
-    if shown.sum() < 4:
-        return None
-    at = np.flatnonzero(shown)
-    breaks = np.flatnonzero(np.diff(at) > max(bridge, 1) + 1)
-    starts, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(at) - 1]])
-    sizes = ends - starts
-    best = int(np.argmax(sizes))
-    first, last = int(at[starts[best]]), int(at[ends[best]]) + 1
-    return (first, last) if last - first >= 4 and shown[first:last].mean() > 0.4 else None
+def _levels(faces: Faces, sides: FaceFit, slopes: Floats, shown: Flags) -> tuple[Floats, Floats, Floats]:
+    """Of S stations the weights in a root line, the promised standard deviations across it, mm, and the angles between
+    the faces, rad, (S,) each."""
+    normals = root_normals(faces, slopes)
+    turn = np.arccos(np.clip(np.einsum("si,si->s", normals[0], normals[1]), -1, 1))
+    level = np.sqrt(sides.covariance[..., 0, 0].sum(axis=0)) / np.maximum(np.sin(turn), 0.05)
+    weight = np.where(shown, 1 / np.maximum(level, 1e-9) ** 2, 0.0)
+    usual = np.median(weight[shown])
+    return np.where(shown, np.clip(weight, LEAST_WEIGHT * usual, MOST_WEIGHT * usual), 0.0), level, turn
 
 
 def _cut(curve: SeamCurve, faces: Faces, sides: FaceFit, here: slice) -> tuple[SeamCurve, Faces, FaceFit]:

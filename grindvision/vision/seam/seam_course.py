@@ -16,7 +16,14 @@ from grindvision.geometry import vector_angle
 from grindvision.geometry.graphs import edge_graph
 from grindvision.vision.seam.face_fit import Scale, fit_faces, intersections, root_normals
 from grindvision.vision.seam.face_shapes import CYLINDER, FREE_FORM, FaceShape, face_surfels
-from grindvision.vision.seam.joint_extent import MIN_FACING, facing
+from grindvision.vision.seam.joint_extent import (
+    ALIKE_FRACTION,
+    ALIKE_RAD,
+    END_STATIONS,
+    MIN_FACING,
+    STRETCH_CELLS,
+    facing,
+)
 from grindvision.vision.seam.joint_fit import JointFit, prolonged, shown_stations, turned_stations
 from grindvision.vision.surface.surfels import Surfels
 
@@ -30,10 +37,8 @@ MEETING_CELLS = 2.5
 #: A corner goes on with what lies within so many cells; the root line shows what is within so many.
 LINK_CELLS, SHOWN_CELLS = 5.0, 3.5
 #: Behind an end the same corner is looked for over so many cells, farther than a line is carried on across a hole.
-#: There it turns as in the median of so many stations at the end, within this fraction or this angle, and lies within
-#: so many cells of the prolonged line, over so many cells without a break.
-BEYOND_CELLS, END_STATIONS, STRETCH_CELLS = 18.0, 9, 2.0
-ALIKE_FRACTION, ALIKE_RAD, OFF_CELLS = 0.3, np.radians(10.0), 1.2
+#: There it turns as at the end and lies within so many cells of the prolonged line.
+BEYOND_CELLS, OFF_CELLS = 18.0, 1.2
 #: A stretch beside the line shows itself by so many surfels of each face.
 MIN_SURFELS = 4
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
-from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.kernels import njit
@@ -17,6 +16,10 @@ from grindvision.records import by_content
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+
+
+#: Stations that are looked at or passed over together where the nearest one is sought.
+BLOCK = 8
 
 
 @by_content
@@ -140,21 +143,72 @@ def nearest_stations(points: Floats, curve: SeamCurve, reach_mm: float) -> tuple
 
     Points before the first or behind the last station are left out.
     """
-    low, high = curve.stations.min(axis=0) - reach_mm, curve.stations.max(axis=0) + reach_mm
-    index = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-    away, station = cKDTree(curve.stations).query(points[index], distance_upper_bound=reach_mm)
-    kept = np.isfinite(away)
-    index, station = index[kept], station[kept]
-    offset = points[index] - curve.stations[station]
-    ahead = (offset * curve.along[station]).sum(axis=1)
-    kept = np.abs(ahead) <= 0.75 * curve.step_mm
-    offset = offset - ahead[:, None] * curve.along[station]
-    return index[kept], station[kept], offset[kept]
+    starts = np.arange(0, len(curve), BLOCK)
+    middles = np.add.reduceat(curve.stations, starts, axis=0) / np.diff(starts, append=len(curve))[:, None]
+    away = np.linalg.norm(curve.stations - np.repeat(middles, BLOCK, axis=0)[: len(curve)], axis=1)
+    blocks = np.column_stack([middles, np.maximum.reduceat(away, starts)])
+    limits = np.array([reach_mm, 0.75 * curve.step_mm])
+    points = np.ascontiguousarray(points, dtype=float)
+    return _stations_near(points, curve.stations, curve.along, blocks, limits)
 
 
 def closed_runs(flags: Flags, size: int) -> Flags:
     """Flags (S,) with gaps shorter than ``size`` filled; the ends stay where they are."""
     return np.asarray(binary_closing(np.pad(flags, size), np.ones(size))[size:-size])
+
+
+@njit(cache=True, nogil=True)
+def _stations_near(
+    points: Floats, stations: Floats, along: Floats, blocks: Floats, limits: Floats
+) -> tuple[Integers, Integers, Floats]:
+    """Points (K,) within reach of stations (S, 3), the nearest station of each and its offset (K, 3) across ``along``.
+
+    ``blocks`` (B, 4) are the middle and the radius of every ``BLOCK`` stations: one that cannot hold a nearer station
+    is passed over. ``limits`` (2,) are the reach and how far ahead of its station a point may lie.
+    """
+    reach, most = limits
+    index, nearest = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    offset, kept = np.empty((len(points), 3)), 0
+    away = np.empty(len(blocks))
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for s in range(len(stations)):
+        for k in range(3):
+            low[k] = min(low[k], stations[s, k] - reach)
+            high[k] = max(high[k], stations[s, k] + reach)
+    for p in range(len(points)):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
+            continue
+        least, first = np.inf, 0
+        for b in range(len(blocks)):
+            dx, dy, dz = x - blocks[b, 0], y - blocks[b, 1], z - blocks[b, 2]
+            away[b] = np.sqrt(dx * dx + dy * dy + dz * dz) - blocks[b, 3]
+            if away[b] < least:
+                least, first = away[b], b
+        if not least <= reach:
+            continue
+        best, found = reach * reach, -1
+        for turn in range(len(blocks) + 1):
+            b = first if turn == 0 else turn - 1
+            if (turn > 0 and b == first) or (away[b] > 0 and away[b] * away[b] > best):
+                continue
+            for s in range(b * BLOCK, min((b + 1) * BLOCK, len(stations))):
+                dx, dy, dz = x - stations[s, 0], y - stations[s, 1], z - stations[s, 2]
+                squared = dx * dx + dy * dy + dz * dz
+                if squared < best or (squared == best and 0 <= s < found):
+                    best, found = squared, s
+        if found < 0:
+            continue
+        dx, dy, dz = x - stations[found, 0], y - stations[found, 1], z - stations[found, 2]
+        ahead = dx * along[found, 0] + dy * along[found, 1] + dz * along[found, 2]
+        if abs(ahead) > most:
+            continue
+        index[kept], nearest[kept] = p, found
+        offset[kept, 0] = dx - ahead * along[found, 0]
+        offset[kept, 1] = dy - ahead * along[found, 1]
+        offset[kept, 2] = dz - ahead * along[found, 2]
+        kept += 1
+    return index[:kept].copy(), nearest[:kept].copy(), offset[:kept].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -51,7 +51,7 @@ def smooth_along(
     return np.stack(result, axis=-1).reshape(values.shape)
 
 
-def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tuple[Floats, float]:
+def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float, sure: float = 1.0) -> tuple[Floats, float]:
     """Smooth values (S,) as stiffly as their own noise asks for; returns them and the length (mm) that was taken.
 
     Cross-validation by stretches: in turns, stretches of ``GAP`` stations here and there are left out and bridged by
@@ -64,6 +64,7 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
         values: (S,), one per station.
         weights: (S,) inverse variances up to a common factor, 0 where nothing is known.
         step_mm: distance of neighbouring stations.
+        sure: a softer curve is taken where it predicts better by so many standard errors.
     """
     values, weights = np.asarray(values, dtype=float), np.asarray(weights, dtype=float)
     doublings = int(np.ceil(np.log2(2 * len(values))))
@@ -73,7 +74,7 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     scaled = off * np.sqrt(weights / max(weights.max(), 1e-300))
     # The same limit for all lengths, or a bad one would shut out more of what it misses.
     limit = OUTLIER * np.median(scaled[:, weights > 0], axis=1).min(initial=np.inf)
-    best = _stiffest(np.minimum(scaled, limit) ** 2)
+    best = _stiffest(np.minimum(scaled, limit) ** 2, sure)
     # The first and the last gap are not bridged but reached from one side: there no prediction tells an outlier.
     known = np.flatnonzero(weights > 0)
     bridged = (place >= known.min(initial=len(place)) + GAP) & (place <= known.max(initial=0) - GAP)
@@ -81,8 +82,9 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float) -> tu
     return smooth_along(values, trusted, lengths[best], step_mm), float(lengths[best])
 
 
-def _stiffest(squares: Floats) -> int:
-    """The stiffest of L curves that predicts as well as the best one, within a standard error, from squares (L, S).
+def _stiffest(squares: Floats, sure: float) -> int:
+    """The stiffest of L curves that predicts as well as the best one, within ``sure`` standard errors, from squares
+    (L, S).
 
     The standard error is that of the difference between both, from sums over stretches of ``GAP`` stations.
     """
@@ -90,7 +92,7 @@ def _stiffest(squares: Floats) -> int:
     starts = np.arange(0, squares.shape[1], GAP)
     worse = np.add.reduceat(squares[best:] - squares[best], starts, axis=1)
     doubt = worse.std(axis=1) * np.sqrt(len(starts) ** 2 / max(len(starts) - 1, 1))
-    return best + int(np.flatnonzero(worse.sum(axis=1) <= doubt)[-1])
+    return best + int(np.flatnonzero(worse.sum(axis=1) <= sure * doubt)[-1])
 
 
 @njit(cache=True, nogil=True)
