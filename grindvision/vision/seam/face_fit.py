@@ -32,9 +32,9 @@ LOCAL = 3.0
 MAX_SLOPE_OFF = 0.6
 #: A face bends if a parabola leaves less than this fraction of what a straight line leaves.
 CLEARLY_BENT = 0.9
-#: The curvature of a face changes along the seam as a polynomial up to this degree, and where too few stations tell
-#: one, of this. Stations whose variance is so many times the usual one do not count.
-BENDS, MAX_VARIANCES = (4, 2), 25.0
+#: The curvature of a face changes along the seam as a polynomial up to this degree. Stations whose variance is so many
+#: times the usual one do not count.
+MAX_BEND_DEGREE, MAX_VARIANCES = 4, 25.0
 #: A rounded corner is left out up to this part of the reach of the fit.
 MAX_ROUNDING = 0.45
 #: Faces are fitted up to so many cells from the seam.
@@ -82,6 +82,7 @@ class FaceFit:
     """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points.
 
     ``bend_sigma`` (2,) is the standard deviation of a face's curvature over all stations, by how it scatters.
+    ``single`` (2, S) are the slopes at the seam of the parabolas before their curvature was steadied along it.
     """
 
     coefficients: Floats
@@ -92,6 +93,7 @@ class FaceFit:
     inside: tuple[Integers, Integers]
     purity: Floats
     bend_sigma: Floats
+    single: Floats
 
     def part(self, here: slice) -> FaceFit:
         """The same parabolas at some of the stations."""
@@ -101,6 +103,7 @@ class FaceFit:
             covariance=self.covariance[:, here],
             coverage=self.coverage[:, here],
             purity=self.purity[:, here],
+            single=self.single[:, here],
         )
 
 
@@ -127,7 +130,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
     nearer = outward[0] > outward[1]
     window = window_mm(scale) / curve.step_mm
     count = len(curve)
-    results, bent, inside, coverage, purity, bend_sigma = [], [], [], [], [], []
+    results, bent, inside, coverage, purity, bend_sigma, single = [], [], [], [], [], [], []
     for side in range(2):
         mine = (nearer if side == 0 else ~nearer) & (outward[side] > scale.near) & (outward[side] < scale.far)
         mine &= np.abs(height[side]) < MAX_SLOPE_OFF * outward[side] + 3 * scale.noise
@@ -139,6 +142,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         is_bent = round_[2] < CLEARLY_BENT * flat[2]
         coefficients, covariance, noise, weights = round_ if is_bent else flat
         scatter = 0.0
+        single.append(coefficients[:, 1].copy())
         if is_bent:
             raw = coefficients[:, 2]
             coefficients, covariance = _steadily_bent(coefficients, covariance, 2 * np.sqrt(np.pi) * window)
@@ -162,6 +166,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         (inside[0], inside[1]),
         np.stack(purity),
         np.array(bend_sigma),
+        np.stack(single),
     )
 
 
@@ -263,7 +268,7 @@ def _steadily_bent(coefficients: Floats, covariance: Floats, alike: float) -> tu
     """
     variance = np.maximum(covariance[:, 2, 2], 1e-300)
     known = np.where(covariance[:, 2, 2] < MAX_VARIANCES * np.median(variance), 1 / variance, 0.0)
-    steady = fit_polynomial(coefficients[:, 2:], known, alike, (0, *BENDS))
+    steady = fit_polynomial(coefficients[:, 2:], known, alike, (0, MAX_BEND_DEGREE, MAX_BEND_DEGREE))
     share = covariance[:, :, 2] / variance[:, None]
     coefficients = coefficients + share * (steady.line - coefficients[:, 2:])
     kept = min((steady.degree + 1) * alike / len(coefficients), 1.0)

@@ -233,11 +233,14 @@ def shown_stations(sides: FaceFit, displacement: Floats, scale: Scale, ring: boo
 
 
 def turned_stations(faces: Faces, slopes: Floats, sides: FaceFit, concave: bool) -> Flags:
-    """Stations (S,) at which the faces still meet in a corner of the same sign."""
-    _, second = root_normals(faces, slopes)
-    side = np.einsum("si,si->s", faces.outward[0], second) * (1.0 if concave else -1.0)
+    """Stations (S,) at which the faces still meet in a corner of the same sign, also by what each shows on its own."""
+    sign = 1.0 if concave else -1.0
+    steady = sign * np.einsum("si,si->s", faces.outward[0], root_normals(faces, slopes)[1])
+    first, second = root_normals(faces, sides.single)
+    single = sign * np.einsum("si,si->s", np.cross(np.cross(faces.normal[0], faces.outward[0]), first), second)
     deviation = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
-    return side > np.maximum(np.sin(MIN_SEEN_DIHEDRAL_RAD), MIN_SHOWN_DEVIATIONS * deviation)
+    least = np.sin(MIN_SEEN_DIHEDRAL_RAD)
+    return (steady > np.maximum(least, MIN_SHOWN_DEVIATIONS * deviation)) & (single > least)
 
 
 def _result(
