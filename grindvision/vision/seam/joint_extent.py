@@ -159,11 +159,11 @@ def facing(stations: Floats, faces: Floats, sides: FaceFit, towards: Floats | No
     return np.asarray(np.where(points < THIN * points[::-1], cosines, 1.0).min(axis=0))
 
 
-def main_run(shown: Flags, turn_rad: Floats, cell: float) -> tuple[int, int] | None:
+def main_run(shown: Flags, turn_rad: Floats | None, cell: float) -> tuple[int, int] | None:
     """First and behind the last station of the longest run that shows the seam; interruptions are bridged.
 
     What lies behind an interruption counts if the faces turn there (S,), rad, as they do before it, over a stretch
-    that shows it. ``cell`` is in stations.
+    that shows it; on a ring, without angles, it always does. ``cell`` is in stations.
     """
     if shown.sum() < 4:
         return None
@@ -183,8 +183,10 @@ def main_run(shown: Flags, turn_rad: Floats, cell: float) -> tuple[int, int] | N
     return (first, last) if last - first >= 4 and shown[first:last].mean() > 0.4 else None
 
 
-def _goes_on(turn_rad: Floats, piece: Integers, end: slice, cell: float, hidden: int) -> bool:
+def _goes_on(turn_rad: Floats | None, piece: Integers, end: slice, cell: float, hidden: int) -> bool:
     """Whether stations (K,) behind so many hidden ones show the corner that ends at the stations ``end``."""
+    if turn_rad is None:
+        return hidden <= BRIDGED_CELLS * cell
     usual = float(np.median(turn_rad[end]))
     alike = abs(float(np.median(turn_rad[piece])) - usual) < max(ALIKE_FRACTION * usual, ALIKE_RAD)
     return hidden <= BRIDGED_CELLS * cell and len(piece) >= STRETCH_CELLS * cell and alike

@@ -173,7 +173,8 @@ def _fit_along(
         shown &= facing(curve.stations, root_normals(faces, slopes), fitted, towards) > MIN_FACING
         if number == 1 and not _hopeful(faces, slopes, fitted, shown):
             return None
-        run = main_run(shown, vector_angle(*root_normals(faces, slopes)), scale.cell / step)
+        turn = None if closed else vector_angle(*root_normals(faces, slopes))
+        run = main_run(shown, turn, scale.cell / step)
         if run is None:
             return None
         here = slice(run[0], run[1])
