@@ -191,8 +191,9 @@ def _skin_piece(ground: HeightMap, lowered: Flags, own: Flags, scan: Scan, skin_
     sums = piece_sums(heights, inside, hidden, datum, min(level_mm, skin_mm / 2), sigma, 0.0)
     unchanged = ground.shown & ~lowered
     return StockPiece(
-        heights, sigma, inside, hidden, unchanged, datum, level_mm, **sums, hidden_mm2=0.0, unshown_mm2=0.0
-    )
+        heights, sigma, inside, hidden, unchanged, datum, level_mm, **sums, hidden_mm2=0.0, unshown_mm2=0.0,
+        asked_mm=skin_mm,
+    )  # fmt: skip
 
 
 def _spread(values_mm: Floats) -> str:

@@ -60,6 +60,8 @@ def test_a_skin_comes_off_a_face_of_a_bent_plate_and_nothing_beside_it(twisted, 
     assert "\n" not in str(refusal.value)
     found, told = ground_with(monkeypatch, *twisted, region_mm=region, skin_mm=SKIN_MM)
     assert "given to deformation" in told
+    assert str(found).startswith(f"a layer of {SKIN_MM:g} mm as asked for, ")
+    assert {piece.asked_mm for piece in found.stock.pieces} == {SKIN_MM}
     assert found.stock.volume_mm3 == pytest.approx(SKIN_MM * found.stock.pieces[0].area_mm2, rel=0.1)
     assert 0.75 * 50 * 55 < found.stock.pieces[0].area_mm2 < 1.05 * 50 * 55
     path = tool_path(found.plans[0])
@@ -81,7 +83,7 @@ def test_a_skin_comes_off_a_face_of_a_bent_plate_and_nothing_beside_it(twisted, 
 
 
 def test_a_piece_that_may_be_bending_is_ground_where_the_engineer_says_that_it_is_stock(monkeypatch):
-    """A bead along the plate's rim: nothing tells it from a bent rim, but the man who welded it."""
+    """A bead along the plate's rim, which the scans do not tell from a bent rim."""
     line = np.column_stack([np.linspace(-60.0, 20.0, 400), np.full(400, -67.5)])
     scans = pair("twist", beads=(Bead(line, 5.0, 2.5), arc_bead(height_mm=2.5, width_mm=5.0)))
     known = compared(scans)

@@ -89,7 +89,9 @@ def _page(
 
 def _rows(piece: StockPiece, plan: GrindingPlan | None, verdict: Remaining | None) -> list[tuple[str, str]]:
     """Names and values of the table."""
+    asked = [] if piece.asked_mm is None else [("layer", f"{piece.asked_mm:g} mm as asked for, not measured")]
     rows = [
+        *asked,
         ("volume", f"{piece.volume_mm3:.4g} +- {piece.volume_sigma_mm3:.2g} mm3"),
         ("area above detection", f"{piece.area_mm2:.4g} +- {piece.area_sigma_mm2:.2g} mm2"),
         ("greatest height", f"{piece.height_max_mm:.3f} +- {piece.height_max_sigma_mm:.2g} mm"),
@@ -135,7 +137,8 @@ def _draw_piece(axes: np.ndarray, piece: StockPiece, plan: GrindingPlan | None) 
     now, planned = axes[0]
     way, section = axes[1]
     top = max(piece.height_max_mm, 2 * piece.level_mm)
-    _map(now, piece, piece.map.heights_mm, top, "measured height")
+    asked = piece.asked_mm is not None
+    _map(now, piece, piece.map.heights_mm, top, "layer as asked for" if asked else "measured height")
     _map(planned, piece, piece.map.heights_mm if plan is None else plan.remaining_mm, top, "planned to remain")
     if plan is None:
         planned.set_title("nothing is planned", fontsize=10)
@@ -151,7 +154,7 @@ def _draw_piece(axes: np.ndarray, piece: StockPiece, plan: GrindingPlan | None) 
         y, piece.map.heights_mm[column] - piece.sigma_mm[column], piece.map.heights_mm[column] + piece.sigma_mm[column],
         color=BEFORE, alpha=0.25, lw=0,
     )  # fmt: skip
-    section.plot(y, piece.map.heights_mm[column], color=BEFORE, label="measured, +- sigma")
+    section.plot(y, piece.map.heights_mm[column], color=BEFORE, label="as asked for" if asked else "measured, +- sigma")
     for one in passes:
         last = one is passes[-1]
         label = "after the last pass" if last else None

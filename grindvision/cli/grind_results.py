@@ -67,6 +67,7 @@ def piece_facts(piece: Any) -> dict[str, Any]:
         **{name: getattr(piece, name) for pair in zip(names, spread, strict=True) for name in pair},
         "hidden_mm2": piece.hidden_mm2,
         "unshown_mm2": piece.unshown_mm2,
+        "asked_mm": piece.asked_mm,
         "datum_mm": float(piece.datum.heights_mm.mean()),
         "datum_sigma_mm": float(np.sqrt(piece.datum.variances_mm2.mean())),
         "node_spacing_mm": grid.spacing_mm,

@@ -93,7 +93,8 @@ class StockPiece:
     those of them that the test scan does not show and whose height is interpolated; ``unchanged`` (R, C) the surface
     around, of no piece. ``area_mm2``: of the good surface under what stands above ``level_mm``, the level of detection.
     ``hidden_mm2``: area of what is hidden; ``unshown_mm2``: that in and beside the piece of which one of the scans
-    shows nothing: what may stand there is not in the stock.
+    shows nothing: what may stand there is not in the stock. ``asked_mm``: thickness of a layer that was asked for and
+    not measured.
     """
 
     map: HeightMap
@@ -113,6 +114,7 @@ class StockPiece:
     height_mean_sigma_mm: float
     hidden_mm2: float
     unshown_mm2: float
+    asked_mm: float | None = None
 
     @property
     def place(self) -> MappedPlace:
@@ -170,10 +172,10 @@ class Stock:
         pits = f"; material is missing in {places}, the largest {self.pits[0]}" if self.pits else ""
         if not self.pieces:
             return f"no stock above {self.level_mm:.2g} mm{pits}"
-        return (
-            f"{counted(len(self.pieces), 'piece')} of stock, {self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3"
-            f" above {self.level_mm:.2g} mm{pits}"
-        )
+        volume = f"{self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3"
+        if (asked_mm := self.pieces[0].asked_mm) is not None:
+            return f"a layer of {asked_mm:g} mm as asked for, {volume} in {counted(len(self.pieces), 'piece')}"
+        return f"{counted(len(self.pieces), 'piece')} of stock, {volume} above {self.level_mm:.2g} mm{pits}"
 
 
 @one_blas_thread()
