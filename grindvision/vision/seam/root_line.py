@@ -40,6 +40,7 @@ class RootLine:
     scatter: float
 
 
+@by_content
 @dataclass(frozen=True)
 class _Smoothed:
     """A line (S, 3), what the places lie beside it (S, 2); the projection (S, S) onto its polynomial and the lengths,
