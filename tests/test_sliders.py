@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 import grindvision_book as book
 from grindvision.errors import InputError
 from grindvision_book.machinery import sliders
+from grindvision_book.machinery.figures import is_live
 
 
 def draw(axes: Axes, exponent: float) -> pd.DataFrame:
@@ -62,7 +63,7 @@ def test_a_live_notebook_gets_a_slider_over_pictures_of_one_scale_with_their_cap
 
 def test_nobody_moves_sliders_while_the_book_is_rebuilt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("JPY_SESSION_NAME", "01_scanning_a_part.ipynb")
-    assert not sliders.is_live()
+    assert not is_live()
 
 
 def test_a_slider_that_cannot_show_anything_is_refused(folder: Path) -> None:
