@@ -1,5 +1,7 @@
 """A seam all round a tube: found in merged views, welded with an overlap, and every maker's programme read back."""
 
+import warnings
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +11,8 @@ from scipy.spatial import cKDTree
 from grindvision.cell import DepthCamera, JointSize, joint_piece
 from grindvision.cell.rays import target_of
 from grindvision.cell.views import view_from
-from grindvision.errors import InputError
+from grindvision.cli.weld_job import within_reach
+from grindvision.errors import GrindvisionWarning, InputError, UnreachableError
 from grindvision.geometry import inverse, move_points, vector_angle
 from grindvision.motion import (
     ArcOptions,
@@ -44,6 +47,7 @@ def around():
 
 
 def torch_path(around, ahead_mm):
+    """The way points as a seam of the torch, ``ahead_mm`` in front of the arm and 120 mm up, and the welding path."""
     points = around.points + [ahead_mm - 400.0, 0.0, 120.0]
     seam = tool_trajectory(points, around.normals, ToolTrajectoryOptions(closed=True))
     return seam, weld_path(seam, WeldPathOptions(8.0, run_off_mm=OVERLAP_MM))
@@ -67,13 +71,56 @@ def test_the_path_goes_all_round_and_over_its_own_start(around):
 
 @pytest.fixture(scope="module")
 def welded(around):
-    """Two arms go once round the tube and on: one turns the torch with the seam, one spins it about its wire."""
-    path = torch_path(around, 420.0)[1]
+    """Two arms go once round the tube and on, from a start from which both can: one turns the torch with the seam, one
+    spins it about its wire."""
     settings = {spin: PlanMotionOptions(table_top_mm=-500.0, spin_free=spin) for spin in (False, True)}
-    return path, {
-        spin: plan_motion(load_robot(ARMS[spin]), path.trajectory, path.plan_options(settings[spin]))
-        for spin in (False, True)
-    }
+
+    def planned(begun):
+        path = torch_path(begun, 420.0)[1]
+        return path, {
+            spin: plan_motion(load_robot(ARMS[spin]), path.trajectory, path.plan_options(settings[spin]))
+            for spin in (False, True)
+        }
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GrindvisionWarning)
+        return within_reach(around, planned)
+
+
+def test_a_ring_is_begun_where_the_arm_can_go_round_from(around):
+    tried = []
+
+    def from_one_place_only(path):
+        tried.append(path)
+        if len(tried) < 4:
+            raise UnreachableError(f"attempt {len(tried)}")
+        return path
+
+    with pytest.warns(GrindvisionWarning, match="begins and ends at way point 16"):
+        begun = within_reach(around, from_one_place_only)
+    assert np.array_equal(begun.points[-15:], around.points[:15]) and np.array_equal(begun.points[0], around.points[15])
+    assert begun.closed and begun.length_mm == pytest.approx(around.length_mm)
+
+    def from_nowhere(path):
+        tried.append(path)
+        raise UnreachableError(f"attempt {len(tried)}")
+
+    tried.clear()
+    with pytest.raises(UnreachableError, match=r"attempt 1$"):
+        within_reach(around, from_nowhere)
+    assert len(tried) == 8
+
+
+def test_an_open_path_is_begun_at_its_ends_only(around):
+    half = replace(around, points=around.points[:20], normals=around.normals[:20], closed=False)
+    with pytest.raises(InputError, match="only a closed one can begin elsewhere"):
+        half.begun_at(3)
+
+    def refuse(path):
+        raise UnreachableError("once")
+
+    with pytest.raises(UnreachableError, match="once"):
+        within_reach(half, refuse)
 
 
 @pytest.mark.parametrize("language", list(READERS))

@@ -304,10 +304,10 @@ def behind_a_hole(folder):
     return [*seam(folder, points[~hole]), "--viewpoint", 20, -220, 320]
 
 
-@mistake("T-joint or tubes")
-def narrow_tubes(folder):
-    points = two_tubes(np.random.default_rng(20), 20.0, 6.0, noise_mm=0.25)
-    return [*seam(folder, points), "--viewpoint", 0, 0, 420]
+@mistake("Plates or tubes")
+def narrow_tube(folder):
+    points = two_tubes(np.random.default_rng(20), 30.0, 6.0, noise_mm=0.3)
+    return [*seam(folder, points[points[:, 1] > -10.0]), "--viewpoint", 0, 0, 420]
 
 
 def sphere_from(folder: Path, poses: np.ndarray, angles: str) -> list[object]:

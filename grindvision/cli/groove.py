@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from grindvision.cli.weld_job import WeldRuns
+    from grindvision.motion.plan import Motion
     from grindvision.motion.trajectory import Trajectory
     from grindvision.vision.seam.joints import Seam
     from grindvision.vision.seam.seam_path import SeamPath
@@ -178,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
         results, welding = _results(weld, labels), None
         if job is not None:
             with work.stage("motion"):
-                script, welding = _write_programmes(job, weld, trajectories[0], points, work.place, options, results)
+                script, welding = _write_programmes(job, weld, points, work.place, options, results)
         with work.stage("write"):
             for rank, (path, trajectory) in enumerate(zip(weld.paths, trajectories, strict=True), start=1):
                 name = "trajectory.csv" if rank == 1 else f"trajectory_{rank}.csv"
@@ -195,20 +196,23 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_programmes(
-    job: RobotJob, weld: Weld, trajectory: Trajectory, points: np.ndarray, place: Path, options: argparse.Namespace,
-    results: dict[str, Any],
-) -> tuple[str, WeldRuns | None]:  # fmt: skip
+    job: RobotJob, weld: Weld, points: np.ndarray, place: Path, options: argparse.Namespace, results: dict[str, Any]
+) -> tuple[str, WeldRuns | None]:
     """Plan and write every programme along the first seam; returns the URScript to send and the weld's runs."""
-    from grindvision.cli.weld_job import weld_runs
+    from grindvision.cli.weld_job import weld_runs, within_reach
 
     if job.wishes is None:
-        motion = job.plan(trajectory, points)
+        motion = within_reach(weld.path, lambda path: job.plan(_torch(path, options, job), points))
         name = job.write(motion, place)
         results["motion"] = motion_facts(motion)
         return (place / name).read_text(encoding="ascii"), None
-    groove = weld.seams[0].groove if weld.seams else None
-    welding = weld_runs(job.wishes, job.torch_speed_mm_s, weld.path, groove, lambda path: _torch(path, options, job))
-    motions = [job.plan_weld(run.path, points, weld.path.closed) for run in welding.runs]
+    wishes, groove = job.wishes, weld.seams[0].groove if weld.seams else None
+
+    def planned(path: SeamPath) -> tuple[WeldRuns, list[Motion]]:
+        runs = weld_runs(wishes, job.torch_speed_mm_s, path, groove, lambda beside: _torch(beside, options, job))
+        return runs, [job.plan_weld(run.path, points, path.closed) for run in runs.runs]
+
+    welding, motions = within_reach(weld.path, planned)
     scripts = [job.write_weld(motion, run, place) for motion, run in zip(motions, welding.runs, strict=True)]
     results["motion"] = motion_facts(motions[0])
     results["welding"] = welding.facts()

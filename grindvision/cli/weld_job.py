@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from grindvision.cli.weld_options import WeldWishes
-from grindvision.errors import GrindvisionWarning, InputError
+from grindvision.errors import GrindvisionWarning, InputError, UnreachableError
 from grindvision.records import by_content
 
 if TYPE_CHECKING:
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 
 #: A groove whose section varies by more than this, between its tenth and its ninetieth percentile, is told.
 VARYING_SECTION = 0.3
+
+#: So many places of a closed seam are tried as its start, 45 deg apart: a wrist joint whose range is a little more than
+#: a full turn (2 x 270 deg less where it stands first) goes round from some of them only.
+STARTS = 8
+
+Plan = TypeVar("Plan")
 
 
 @by_content
@@ -122,6 +129,30 @@ def weld_runs(
         tacks = weld_path(seam, WeldPathOptions(speed_mm_s, stretches=stretches))
         runs.append(WeldRun("tacks", "tack_arc", tacks))
     return WeldRuns(tuple(runs), fill)
+
+
+def within_reach(path: SeamPath, plan: Callable[[SeamPath], Plan]) -> Plan:
+    """What ``plan`` makes of the path; of a closed one that the arm cannot go round from its first way point, from the
+    first of ``STARTS`` others from which it can.
+
+    Raises:
+        UnreachableError: it can from none; the complaint is that of the first way point.
+    """
+    try:
+        return plan(path)
+    except UnreachableError:
+        if path.closed:
+            for start in sorted({part * len(path) // STARTS for part in range(1, STARTS)} - {0}):
+                with suppress(UnreachableError):
+                    planned = plan(path.begun_at(start))
+                    warnings.warn(
+                        f"the arm cannot go round the seam from way point 1 on: the programme begins and ends at way"
+                        f" point {start + 1}",
+                        GrindvisionWarning,
+                        stacklevel=2,
+                    )
+                    return planned
+        raise
 
 
 def groove_section(groove: DetectedGroove) -> GrooveSection:

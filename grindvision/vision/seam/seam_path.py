@@ -36,6 +36,16 @@ class SeamPath:
         line = np.concatenate([self.points, self.points[:1]]) if self.closed else self.points
         return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
+    def begun_at(self, waypoint: int) -> SeamPath:
+        """The same ring with another way point as its first one.
+
+        Raises:
+            InputError: the path is open, which begins at one of its ends.
+        """
+        if not self.closed:
+            raise InputError("an open path begins at one of its ends; only a closed one can begin elsewhere")
+        return SeamPath(np.roll(self.points, -waypoint, axis=0), np.roll(self.normals, -waypoint, axis=0), True)
+
     def __len__(self) -> int:
         return len(self.points)
 
