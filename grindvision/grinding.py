@@ -26,7 +26,7 @@ from grindvision.vision.change.ridge_path import lies_on, trace_bead
 from grindvision.vision.change.stock import MeasureStockOptions, Stock, StockPiece, measure_stock
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.scan_registration import StageClock
-from grindvision.words import counted
+from grindvision.words import counted, rounded
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -222,7 +222,7 @@ def check_visible(piece: StockPiece) -> None:
     hidden_mm2, area_mm2 = piece.hidden.sum() * node_mm2, piece.inside.sum() * node_mm2
     if hidden_mm2 > MAX_HIDDEN * area_mm2:
         raise InputError(
-            f"{hidden_mm2:.3g} of its {area_mm2:.3g} mm2 are not shown by the test scan, so that its height is not"
+            f"{hidden_mm2:.3g} of its {rounded(area_mm2)} mm2 are not shown by the test scan, so that its height is not"
             " known; scan the part from where the piece can be seen"
         )
 

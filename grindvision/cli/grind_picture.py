@@ -14,6 +14,7 @@ from grindvision import __version__
 from grindvision.cli.verdict import draw_verdict
 from grindvision.extras import extra
 from grindvision.files import write_whole
+from grindvision.words import rounded
 
 with extra("plot"):
     import matplotlib
@@ -92,20 +93,20 @@ def _rows(piece: StockPiece, plan: GrindingPlan | None, verdict: Remaining | Non
     asked = [] if piece.asked_mm is None else [("layer", f"{piece.asked_mm:g} mm as asked for, not measured")]
     rows = [
         *asked,
-        ("volume", f"{piece.volume_mm3:.4g} +- {piece.volume_sigma_mm3:.2g} mm3"),
-        ("area above detection", f"{piece.area_mm2:.4g} +- {piece.area_sigma_mm2:.2g} mm2"),
+        ("volume", f"{piece.volume_mm3:.4g} +- {rounded(piece.volume_sigma_mm3, 2)} mm3"),
+        ("area above detection", f"{piece.area_mm2:.4g} +- {rounded(piece.area_sigma_mm2, 2)} mm2"),
         ("greatest height", f"{piece.height_max_mm:.3f} +- {piece.height_max_sigma_mm:.2g} mm"),
         ("mean height there", f"{piece.height_mean_mm:.3f} +- {piece.height_mean_sigma_mm:.2g} mm"),
         ("level of detection", f"{piece.level_mm:.3f} mm"),
-        ("hidden / not shown", f"{piece.hidden_mm2:.3g} / {piece.unshown_mm2:.3g} mm2"),
+        ("hidden / not shown", f"{piece.hidden_mm2:.3g} / {rounded(piece.unshown_mm2)} mm2"),
     ]
     if verdict is not None:
         rows += [
             ("tolerance", f"{verdict.tolerance_mm:g} mm"),
             ("remains at most", f"{verdict.height_max_mm:.3f} +- {verdict.height_max_sigma_mm:.2g} mm"),
             ("remains in the mean", f"{verdict.height_mean_mm:.3f} +- {verdict.height_mean_sigma_mm:.2g} mm"),
-            ("area over tolerance", f"{verdict.over_mm2:.3g} mm2"),
-            ("gouged area, depth", f"{verdict.gouged_mm2:.3g} mm2, {verdict.gouge_mm:.3f} mm"),
+            ("area over tolerance", f"{rounded(verdict.over_mm2)} mm2"),
+            ("gouged area, depth", f"{rounded(verdict.gouged_mm2)} mm2, {verdict.gouge_mm:.3f} mm"),
         ]
     if plan is not None:
         options = plan.options

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from grindvision.clouds import finite_points, read_cloud
-from grindvision.errors import FileError
+from grindvision.errors import FileError, GrindvisionWarning
 from grindvision.geometry import angle_between, move_points, random_rotation, rigid, small_motion
 from grindvision.vision.change.detection import Detection, detect
 from grindvision.vision.registration.scan_registration import RegisterOptions, register
@@ -30,7 +31,7 @@ class GroundPart:
     stands out, and chosen by the engineer; ``icp_deg``: angle between our pose and where Open3D's ICP ends from there;
     ``median_mm``: least median of distances from the model that a rigid pose was found to leave. How far what was
     chosen stands out, at 16, 50 and 84 % of it: ``chosen_rigid_mm`` of the model, ``chosen_bent_mm`` of the model bent
-    like the part.
+    like the part. ``said``: the warnings of ``detect``.
     """
 
     found: Detection
@@ -41,6 +42,7 @@ class GroundPart:
     median_mm: float
     chosen_rigid_mm: Floats
     chosen_bent_mm: Floats
+    said: tuple[str, ...]
 
     @property
     def missed_percent(self) -> float:
@@ -118,7 +120,9 @@ def ground_part(folder: Path, every: int = 1) -> GroundPart:
     """Compare the scan of the part with points of its model, or one of ``every`` points of both."""
     model, scan = (cloud(folder / "dac" / name)[::every] for name in ("sample.ply", "test.ply"))
     marked = np.load(folder / "dac" / "labels.npy")[::every]
-    found = detect(model, scan)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", GrindvisionWarning)
+        found = detect(model, scan)
     pose = found.T_sample_test
     pieces = np.concatenate([piece.points for piece in found.difference.clusters] or [np.full((1, 3), np.inf)])
     near = cKDTree(pieces).query(scan, distance_upper_bound=found.difference.cell_mm)[0]
@@ -135,6 +139,7 @@ def ground_part(folder: Path, every: int = 1) -> GroundPart:
         float(np.degrees(angle_between(settled[:3, :3], pose[:3, :3]))),
         least_median(scan, model, pose),
         *(np.nanquantile(one, (0.16, 0.5, 0.84)) for one in chosen),
+        tuple(str(one.message) for one in caught),
     )
 
 

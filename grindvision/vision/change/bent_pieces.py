@@ -16,6 +16,7 @@ from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.deformed_registration import DeformedPart
 from grindvision.vision.surface.clustering import euclidean_clusters
+from grindvision.words import rounded
 
 Floats = NDArray[np.float64]
 
@@ -143,4 +144,4 @@ def _no_higher(cluster: Cluster, depth_mm: float, middle: Floats) -> str:
 
 def _place(cluster: Cluster) -> str:
     """Area and place of a piece, in words."""
-    return f"{cluster.area_mm2:.3g} mm2 about ({', '.join(f'{v:.0f}' for v in cluster.points.mean(axis=0))}) mm"
+    return f"{rounded(cluster.area_mm2)} mm2 about ({', '.join(f'{v:.0f}' for v in cluster.points.mean(axis=0))}) mm"

@@ -16,6 +16,7 @@ from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.clustering import euclidean_clusters
 from grindvision.vision.surface.scan import Scan, surface_in_frame
+from grindvision.words import rounded
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -42,7 +43,7 @@ class Patch:
     area_mm2: float
 
     def __str__(self) -> str:
-        return f"{self.area_mm2:.3g} mm2 about ({', '.join(f'{value:.0f}' for value in self.middle_mm)}) mm"
+        return f"{rounded(self.area_mm2)} mm2 about ({', '.join(f'{value:.0f}' for value in self.middle_mm)}) mm"
 
 
 @by_content

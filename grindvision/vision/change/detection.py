@@ -26,7 +26,7 @@ from grindvision.vision.registration.scan_registration import Registration, Stag
 from grindvision.vision.registration.verification import VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface
 from grindvision.vision.surface.scan import Scan
-from grindvision.words import counted
+from grindvision.words import counted, rounded
 
 Floats = NDArray[np.float64]
 
@@ -183,9 +183,9 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
     if not difference.clusters and coverage.test_missed and found.overlap >= MIN_OVERLAP:
         places = coverage.test_missed
         said.append(
-            f"{1 - coverage.test_fraction:.0%} of the test scan ({coverage.test_missed_mm2:.3g} mm2) was not compared,"
-            f" in {counted(len(places), 'larger place')}, the largest {places[0]}: the sample shows nothing there, and"
-            " what stands out there was not seen"
+            f"{1 - coverage.test_fraction:.0%} of the test scan ({rounded(coverage.test_missed_mm2)} mm2) was not"
+            f" compared, in {counted(len(places), 'larger place')}, the largest {places[0]}: the sample shows nothing"
+            " there, and what stands out there was not seen"
         )
     if not difference.clusters and (coarse := _coarser(found, difference)):
         said.append(coarse)

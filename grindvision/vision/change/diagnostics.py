@@ -15,7 +15,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.pair_diagnostics import PairNames, diagnose_table
 from grindvision.vision.registration.relative_scale import relative_scale
 from grindvision.vision.surface.scan import Scan
-from grindvision.words import counted
+from grindvision.words import counted, rounded
 
 Floats = NDArray[np.float64]
 
@@ -96,5 +96,5 @@ def _missing_material(source: Scan, target: Scan, registration: FineRegistration
         return ""
     return (
         f"nothing stands out of the good part, but in {counted(len(pieces), 'place')} material is missing (the largest:"
-        f" {pieces[0].area_mm2:.3g} mm2, {pieces[0].peak_mm:.2f} mm deep)"
+        f" {rounded(pieces[0].area_mm2)} mm2, {pieces[0].peak_mm:.2f} mm deep)"
     )

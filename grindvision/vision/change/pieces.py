@@ -16,6 +16,7 @@ from grindvision.vision.surface.clustering import euclidean_clusters
 from grindvision.vision.surface.scan import Scan
 from grindvision.vision.surface.signed_distance import signed_distances
 from grindvision.vision.surface.surfels import Surfels
+from grindvision.words import rounded
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -60,7 +61,7 @@ class Cluster:
     peak_mm: float
 
     def __str__(self) -> str:
-        size = f"{self.area_mm2:.3g} mm2, {self.peak_mm:.2f} mm high, {self.volume_mm3:.3g} mm3"
+        size = f"{rounded(self.area_mm2)} mm2, {self.peak_mm:.2f} mm high, {rounded(self.volume_mm3)} mm3"
         return f"{len(self.points):,} points, {size}"
 
 
@@ -78,7 +79,7 @@ class Speck:
     def __str__(self) -> str:
         place = ", ".join(f"{value:.0f}" for value in self.middle_mm)
         floating = ", touching nothing of the part" if self.floating else ""
-        return f"{self.area_mm2:.2g} mm2, {self.height_mm:.2g} mm high, about ({place}) mm{floating}"
+        return f"{rounded(self.area_mm2, 2)} mm2, {self.height_mm:.2g} mm high, about ({place}) mm{floating}"
 
 
 class Standing(NamedTuple):

@@ -10,6 +10,7 @@ from scipy.ndimage import label, median_filter
 
 from grindvision.errors import InputError
 from grindvision.vision.change.stock import Flags, Floats, StockPiece
+from grindvision.words import rounded
 
 GOUGED_NODES = 9
 """Fewer connected nodes below the surface are noise, no gouge."""
@@ -53,8 +54,8 @@ class Remaining:
         verdict = "met" if self.met else "not met" if self.judged else "cannot be judged"
         return (
             f"{verdict}: at most {self.height_max_mm:.3f} +- {self.height_max_sigma_mm:.2g} mm, mean"
-            f" {self.height_mean_mm:.3f} +- {self.height_mean_sigma_mm:.2g} mm; {self.over_mm2:.3g} mm2 above"
-            f" {self.tolerance_mm:g} mm, {self.gouged_mm2:.3g} mm2 gouged"
+            f" {self.height_mean_mm:.3f} +- {self.height_mean_sigma_mm:.2g} mm; {rounded(self.over_mm2)} mm2 above"
+            f" {self.tolerance_mm:g} mm, {rounded(self.gouged_mm2)} mm2 gouged"
         )
 
 

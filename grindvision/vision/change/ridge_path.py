@@ -21,6 +21,7 @@ from grindvision.records import by_content
 from grindvision.vision.change.bead_sections import Sections, sums_of_sections
 from grindvision.vision.change.centreline import bead_centreline
 from grindvision.vision.change.pieces import Cluster
+from grindvision.words import rounded
 
 Floats = NDArray[np.float64]
 
@@ -114,8 +115,9 @@ def trace_bead(cluster: Cluster, points: int = 6) -> BeadPath:
         if on_piece and lies_on_top(cluster, path):
             return path
     raise NoPathError(
-        f"it stands {cluster.peak_mm:.2f} mm out over {cluster.area_mm2:.3g} mm2 but shows no ridge: every path along"
-        " it would leave its points; it may be flash or an edge that is seen from one side only, scan it from above"
+        f"it stands {cluster.peak_mm:.2f} mm out over {rounded(cluster.area_mm2)} mm2 but shows no ridge: every path"
+        " along it would leave its points; it may be flash or an edge that is seen from one side only, scan it"
+        " from above"
     )
 
 
@@ -152,8 +154,8 @@ def _refuse_face(cluster: Cluster, width: float) -> None:
     heights = cluster.signed_mm
     if width > FACE_MM and (heights > FACE_TOP * cluster.peak_mm).mean() > FACE_FRACTION:
         raise NoPathError(
-            f"a face of {cluster.area_mm2:.3g} mm2 stands out by {np.median(heights):.2f} mm; it has no ridge that a"
-            " path could follow, take it off as a face"
+            f"a face of {rounded(cluster.area_mm2)} mm2 stands out by {np.median(heights):.2f} mm; it has no ridge that"
+            " a path could follow, take it off as a face"
         )
 
 

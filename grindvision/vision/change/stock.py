@@ -30,7 +30,7 @@ from grindvision.vision.change.stock_sums import FLAT, bridged_heights, piece_su
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.scan import Scan, surface_in_frame
 from grindvision.vision.surface.surfels import Surfels
-from grindvision.words import counted
+from grindvision.words import counted, rounded
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -135,12 +135,12 @@ class StockPiece:
         return self.inside & (np.nan_to_num(self.map.heights_mm) > self.level_mm)
 
     def __str__(self) -> str:
-        hidden = f", {self.hidden_mm2:.3g} mm2 hidden" if self.hidden_mm2 else ""
-        unshown = f", {self.unshown_mm2:.3g} mm2 beside it not shown" if self.unshown_mm2 else ""
+        hidden = f", {rounded(self.hidden_mm2)} mm2 hidden" if self.hidden_mm2 else ""
+        unshown = f", {rounded(self.unshown_mm2)} mm2 beside it not shown" if self.unshown_mm2 else ""
         return (
-            f"{self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3 on {self.area_mm2:.4g} +-"
-            f" {self.area_sigma_mm2:.2g} mm2, at most {self.height_max_mm:.3g} +- {self.height_max_sigma_mm:.2g} mm"
-            f" high{hidden}{unshown}"
+            f"{self.volume_mm3:.4g} +- {rounded(self.volume_sigma_mm3, 2)} mm3 on {self.area_mm2:.4g} +-"
+            f" {rounded(self.area_sigma_mm2, 2)} mm2, at most {self.height_max_mm:.3g} +-"
+            f" {self.height_max_sigma_mm:.2g} mm high{hidden}{unshown}"
         )
 
 
@@ -172,7 +172,7 @@ class Stock:
         pits = f"; material is missing in {places}, the largest {self.pits[0]}" if self.pits else ""
         if not self.pieces:
             return f"no stock above {self.level_mm:.2g} mm{pits}"
-        volume = f"{self.volume_mm3:.4g} +- {self.volume_sigma_mm3:.2g} mm3"
+        volume = f"{self.volume_mm3:.4g} +- {rounded(self.volume_sigma_mm3, 2)} mm3"
         if (asked_mm := self.pieces[0].asked_mm) is not None:
             return f"a layer of {asked_mm:g} mm as asked for, {volume} in {counted(len(self.pieces), 'piece')}"
         return f"{counted(len(self.pieces), 'piece')} of stock, {volume} above {self.level_mm:.2g} mm{pits}"

@@ -21,6 +21,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.surface.faces import label_faces
 from grindvision.vision.surface.scan import Scan
 from grindvision.vision.surface.signed_distance import signed_distances
+from grindvision.words import rounded
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -75,7 +76,7 @@ class FaceOffset:
     def place(self) -> str:
         """In words, which face it is."""
         x, y, z = self.middle_mm
-        return f"the face of {self.area_mm2:.3g} mm2 about ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+        return f"the face of {rounded(self.area_mm2)} mm2 about ({x:.0f}, {y:.0f}, {z:.0f}) mm"
 
     def __str__(self) -> str:
         side = "stands out" if self.offset_mm > 0 else "is too low"
@@ -111,7 +112,7 @@ class FaceReading:
             readings = ", or ".join(str(one) for one in self.off)
             said.append(f"the faces contradict each other: either {readings}; say which are right with --datum")
         if self.sole and nothing_found:
-            places = ", ".join(f"{one.area_mm2:.3g} mm2 about ({', '.join(f'{v:.0f}' for v in one.middle_mm)})"
+            places = ", ".join(f"{rounded(one.area_mm2)} mm2 about ({', '.join(f'{v:.0f}' for v in one.middle_mm)})"
                                for one in self.sole)  # fmt: skip
             said.append(
                 f"faces that are off as a whole would not be seen: the pose rests on each of {len(self.sole)} alone"
