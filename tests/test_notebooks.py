@@ -11,7 +11,7 @@ from grindvision_book.machinery.chapters import chapters
 from grindvision_book.machinery.committed import committed_figures
 from grindvision_book.machinery.contents import listed
 from grindvision_book.machinery.one_at_a_time import only_build
-from grindvision_book.machinery.places import BUILD, NOTEBOOKS, ROOT
+from grindvision_book.machinery.places import BUILD, EXECUTED, NOTEBOOKS, ROOT
 from grindvision_book.machinery.rebuilding import rebuild
 
 COMMITTED = sorted(NOTEBOOKS.rglob("*.ipynb"))
@@ -58,7 +58,7 @@ def test_rebuilt_figures_of_all_chapters_agree_with_the_committed_ones(tmp_path:
 
 
 def rebuilt_otherwise(numbers: list[str], figures: Path) -> list[str]:
-    """What fails when these chapters are rebuilt, or differs from the commit."""
+    """What fails when these chapters are rebuilt, differs from the commit, or warns in a cell."""
     committed = committed_figures()
     print(f"compared with {committed.origin}")
     figures.mkdir()
@@ -73,4 +73,12 @@ def rebuilt_otherwise(numbers: list[str], figures: Path) -> list[str]:
         {name: content for name, content in files.items() if listed().get(name) in numbers}
         for files in (files_in(figures), committed.files)
     )
-    return [str(outcome) for outcome in outcomes if outcome.failure] or disagreements(rebuilt, there)
+    failed = [str(outcome) for outcome in outcomes if outcome.failure]
+    return failed or disagreements(rebuilt, there) + [line for outcome in outcomes for line in warned(outcome.chapter)]
+
+
+def warned(chapter: str) -> list[str]:
+    """What the cells of an executed chapter wrote as warnings, which a reader sees in red."""
+    cells = nbformat.read(EXECUTED / f"{chapter}.ipynb", as_version=4).cells
+    outputs = [output for cell in cells if cell.cell_type == "code" for output in cell.outputs]
+    return [f"{chapter}: {output.text}" for output in outputs if output.get("name") == "stderr"]
