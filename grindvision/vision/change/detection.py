@@ -16,7 +16,7 @@ from grindvision.records import by_content
 from grindvision.vision.change.change_detection import Difference
 from grindvision.vision.change.comparison import Comparison, compare
 from grindvision.vision.change.coverage import Coverage, find_coverage, same_scan
-from grindvision.vision.change.diagnostics import MIN_OVERLAP
+from grindvision.vision.change.diagnostics import MIN_OVERLAP, Unevenness
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.registration import scan_registration
 from grindvision.vision.registration.deformed_registration import DeformedPart
@@ -164,6 +164,9 @@ def detect(
     except DegenerateError as error:
         raise DegenerateError("; and ".join((str(error), *against))) from None
     clock.lap("path")
+    if beads:
+        uneven = Unevenness.between(found.source, found.target, difference)
+        against += tuple(filter(None, [uneven.doubt_of_path(min(bead.height_mm for bead in beads))]))
     for sentence in against:
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     return Detection(
@@ -189,7 +192,7 @@ def _unseen(found: Registration, difference: Difference, coverage: Coverage) -> 
         )
     if not difference.clusters and (coarse := _coarser(found, difference)):
         said.append(coarse)
-    if not difference.clusters and (noisy := _noisier(found, coverage)):
+    if not difference.clusters and (noisy := _noisier(found, difference, coverage)):
         said.append(noisy)
     if difference.specks:
         said.append(
@@ -215,15 +218,16 @@ def _coarser(found: Registration, difference: Difference) -> str:
     )
 
 
-def _noisier(found: Registration, coverage: Coverage) -> str:
-    """In words, that noise hides low beads; empty where it does not."""
+def _noisier(found: Registration, difference: Difference, coverage: Coverage) -> str:
+    """In words, that noise or rough skins hide low beads; empty where they do not."""
     if coverage.height_mm <= HIGH * np.linalg.norm(np.ptp(found.source.surfels.points, axis=0)):
         return ""
+    hidden = f"beads lower than {coverage.height_mm:.2g} mm would not be seen on half of the test scan:"
+    uneven = Unevenness.between(found.source, found.target, difference)
+    if not uneven.is_noise:
+        return f"{hidden} {uneven}"
     noise = [float(np.median(scan.surfels.noise_mm)) for scan in (found.source, found.target)]
-    return (
-        f"beads lower than {coverage.height_mm:.2g} mm would not be seen on half of the test scan: its noise is"
-        f" {noise[0]:.2g} mm, the sample's {noise[1]:.2g} mm; scan with less noise"
-    )
+    return f"{hidden} its noise is {noise[0]:.2g} mm, the sample's {noise[1]:.2g} mm; scan with less noise"
 
 
 def _follow(compared: Comparison, points: int) -> tuple[BeadPath, ...]:

@@ -16,6 +16,7 @@ from grindvision.errors import AmbiguousError, DegenerateError, InputError, Unit
 from grindvision.geometry import check_points, move_points
 from grindvision.geometry.bounds import bounds
 from grindvision.models import Model
+from grindvision.vision.registration.layered_scans import allow_for_layers
 from grindvision.vision.registration.pair_diagnostics import MAX_SIZE_RATIO, PairNames
 from grindvision.vision.registration.pose_findings import LEFT_HANDED, warn_of_findings
 from grindvision.vision.registration.rim_fit import hold_by_rims
@@ -101,6 +102,7 @@ def register_to_model(
     fine = refine(prepared, target, coarse, draws)
     fine, held = hold_by_rims(prepared, target, fine, coarse.registration.T_target_source)
     warn_of_findings(prepared, coarse, fine, names, held)
+    fine = allow_for_layers(fine, {names.source: prepared})
     clock.lap("icp")
     return ModelRegistration(Registration(prepared, target, coarse, fine, clock.laps_s), surface)
 

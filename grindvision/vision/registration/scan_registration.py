@@ -19,6 +19,7 @@ from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.free_motions import rms_extent
 from grindvision.vision.registration.global_registration import propose_poses
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.layered_scans import allow_for_layers
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
 from grindvision.vision.registration.plane_icp import icp_planes
 from grindvision.vision.registration.pose_candidates import same_within
@@ -179,6 +180,7 @@ def register_pair(
         fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
         fine, held = hold_by_rims(prepared_source, prepared_target, fine, coarse.registration.T_target_source)
         warn_of_findings(prepared_source, coarse, fine, names, held)
+        fine = allow_for_layers(fine, {names.source: prepared_source, names.target: prepared_target})
     except DegenerateError as refusal:
         coarse_source, coarse_target = (
             build_surfels(points, choose_resolution(points).voxel_mm) for points in (source, target)
