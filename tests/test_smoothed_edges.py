@@ -44,10 +44,12 @@ def picture(shape, T_part_scanner, rng, smoothing_px=0.0, step_mm=0.5, noise_mm=
     return (rays * depth[..., None])[shown]
 
 
-def compared(shapes, smoothing_px, also_seen_from=None):
+def compared(shapes, smoothing_px, also_seen_from=None, **camera):
     """Both scans of a pair at its true pose, that pose, and their difference; the test scan holds one view more."""
     rng = np.random.default_rng(3)
-    sample, test = (picture(shape, view, rng, px) for shape, view, px in zip(shapes, VIEWS, smoothing_px, strict=True))
+    sample, test = (
+        picture(shape, view, rng, px, **camera) for shape, view, px in zip(shapes, VIEWS, smoothing_px, strict=True)
+    )
     if also_seen_from is not None:
         more = picture(shapes[1], also_seen_from, rng)
         test = np.concatenate([test, move_points(inverse(VIEWS[1]) @ also_seen_from, more)])
@@ -68,6 +70,13 @@ def test_pieces_along_the_rims_of_smoothed_pictures_are_left_out(smoothing_px):
     doubted = smoothing_doubts(difference, smoothed)
     assert 0 in doubted  # the largest, which would be ground first
     assert len(doubted) > len(difference.clusters) / 2
+
+
+@pytest.mark.parametrize("smoothing_px", [(1.0, 1.0), (2.5, 2.5), (0.0, 1.0)])
+@pytest.mark.parametrize("camera", [{"step_mm": 1.0, "noise_mm": 0.05}, {"step_mm": 0.8}, {"step_mm": 0.35}])
+def test_other_cameras_are_told_as_well(smoothing_px, camera):
+    assert find_smoothed_edges(*compared((PART, PART), smoothing_px, **camera)) is not None
+    assert find_smoothed_edges(*compared((PART, PART), (0.0, 0.0), **camera)) is None
 
 
 def test_a_bead_amid_a_face_of_smoothed_pictures_is_kept():

@@ -26,6 +26,11 @@ Floats = NDArray[np.float64]
 RIM_CELLS = 2.5
 """Nearer to a rim than so many cells, a place is beside it: as far as ``surrounded`` looks."""
 
+SAME_CELLS = 2.0
+"""Farther from the sample than so many cells, a place shows another surface. Slopes between smoothed rims stand so far
+off; of 187 raw pairs (12 kinds of parts, rough, double, with gaps, noisy, thin) none had a place between one and two
+cells."""
+
 TAIL, DEVIATIONS = 0.9, 1.645
 """Of normal errors of one sign, this share lies within so many standard deviations."""
 
@@ -80,7 +85,7 @@ def find_smoothed_edges(
         return None
     at, _ = nearest(build_cells(rims, RIM_CELLS * size), difference.surfels, RIM_CELLS * size)
     signed, level = difference.signed_mm, difference.firm_level_mm
-    beside = (at >= 0) & difference.comparable & (np.abs(signed) < size)  # NaN is not; farther is another surface
+    beside = (at >= 0) & difference.comparable & (np.abs(signed) < SAME_CELLS * size)  # NaN is not
     times = np.abs(signed[beside]) / (level[beside] / 1.96)
     for one_sign in (times[signed[beside] > 0], times[signed[beside] < 0]):
         if len(one_sign) < MIN_BESIDE or np.quantile(one_sign, TAIL) < BEYOND * DEVIATIONS:
