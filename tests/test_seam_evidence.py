@@ -15,7 +15,7 @@ from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from grindvision.vision.seam.weld import TraceWeldOptions, trace_weld
 from grindvision_book.chapter_15.study import look_at_bend
 from tests.groove_scenes import cloud, grid, vee
-from tests.seam_scenes import corner, noisy
+from tests.seam_scenes import corner, noisy, tube_on_plate
 
 ABOVE = np.array([0.0, 0.0, 450.0])
 FRONT = np.array([20.0, -220.0, 320.0])
@@ -106,3 +106,17 @@ def test_a_sheet_bent_as_narrowly_as_its_noise_allows_is_no_corner(seed):
 def test_a_turn_that_only_coarse_cells_show_is_a_bend(seed):
     with pytest.raises(NoGrooveError):
         find_seams(surface("bend")(seed).points)
+
+
+@pytest.mark.parametrize("warped", [True, False])
+def test_a_plate_that_is_warped_is_not_called_a_tube_without_a_doubt(warped):
+    """An upright on a base that bends by 25 deg over its length, and a tube on a plate, of which half is seen."""
+    rng = np.random.default_rng(9)
+    if warped:
+        points = corner(rng, length=120.0)
+        points[:, 2] -= points[:, 0] ** 2 / 2 / 270
+    else:
+        points = tube_on_plate(rng)
+    (seam,) = find_seams(points, FindSeamsOptions(FRONT)).seams
+    assert seam.kind == "tube-on-plate"
+    assert any("as a warped plate may" in doubt for doubt in seam.doubts) == warped

@@ -82,7 +82,8 @@ class FaceFit:
     """Parabolas of both faces at S stations: coefficients (2, S, 3), covariances (2, S, 3, 3), and their points.
 
     ``bend_sigma`` (2,) is the standard deviation of a face's curvature over all stations, by how it scatters.
-    ``single`` (2, S) are the slopes at the seam of the parabolas before their curvature was steadied along it.
+    ``single`` (2, S) are the slopes at the seam of the parabolas before their curvature was steadied along it,
+    ``round`` parabolas (2, S, 3) and their covariances (2, S, 3, 3) before that, also of a face that is taken as even.
     """
 
     coefficients: Floats
@@ -94,6 +95,7 @@ class FaceFit:
     purity: Floats
     bend_sigma: Floats
     single: Floats
+    round: tuple[Floats, Floats]
 
     def part(self, here: slice) -> FaceFit:
         """The same parabolas at some of the stations."""
@@ -104,6 +106,7 @@ class FaceFit:
             coverage=self.coverage[:, here],
             purity=self.purity[:, here],
             single=self.single[:, here],
+            round=(self.round[0][:, here], self.round[1][:, here]),
         )
 
 
@@ -130,7 +133,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
     nearer = outward[0] > outward[1]
     window = window_mm(scale) / curve.step_mm
     count = len(curve)
-    results, bent, inside, coverage, purity, bend_sigma, single = [], [], [], [], [], [], []
+    results, rounds, bent, inside, coverage, purity, bend_sigma, single = [], [], [], [], [], [], [], []
     for side in range(2):
         mine = (nearer if side == 0 else ~nearer) & (outward[side] > scale.near) & (outward[side] < scale.far)
         mine &= np.abs(height[side]) < MAX_SLOPE_OFF * outward[side] + 3 * scale.noise
@@ -139,6 +142,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         at, a, e = station[mine], outward[side][mine], height[side][mine]
         flat = _parabola(at, a, e, count, window, 2)
         round_ = _parabola(at, a, e, count, window, 3)
+        rounds.append(round_[:2])
         is_bent = round_[2] < CLEARLY_BENT * flat[2]
         coefficients, covariance, noise, weights = round_ if is_bent else flat
         scatter = 0.0
@@ -167,6 +171,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         np.stack(purity),
         np.array(bend_sigma),
         np.stack(single),
+        (np.stack([one[0] for one in rounds]), np.stack([one[1] for one in rounds])),
     )
 
 
@@ -215,6 +220,24 @@ def narrower_meeting(
         return np.zeros_like(displacement)
     moved = intersections(curve, faces, fitted)[0] - displacement
     return smooth_along(moved, weight, 2 * scale.cell, curve.step_mm, robust=True)
+
+
+def unseen_bend(sides: FaceFit, window: float) -> Floats:
+    """How far (2, S), mm, a bend that does not show station by station moves the level of each face at the root, less
+    what the noise of the bend alone would.
+
+    The waviness of a plate and of a camera bend a face by less than its noise, alike over many stations. ``window``: of
+    the fit along the seam, in stations.
+    """
+    moved = np.zeros(sides.coefficients.shape[:2])
+    for side in np.flatnonzero(~np.array(sides.bent)):
+        coefficients, covariance = (one[side] for one in sides.round)
+        steady, left = _steadily_bent(coefficients, covariance, 2 * np.sqrt(np.pi) * window)
+        known = covariance[:, 0, 2] ** 2 / np.maximum(covariance[:, 2, 2], 1e-300)
+        noise = known - (covariance[:, 0, 0] - left[:, 0, 0])
+        squared = (steady[:, 0] - sides.coefficients[side, :, 0]) ** 2
+        moved[side] = np.sqrt(np.maximum(squared - noise, 0.0))
+    return moved
 
 
 def root_normals(faces: Faces, slopes: Floats) -> Floats:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from grindvision.geometry import vector_angle
 from grindvision.vision.seam.face_fit import FAR_CELLS
 from grindvision.vision.seam.joint_fit import JointFit
+from grindvision.vision.seam.joint_names import INSIDE, SADDLE, T_JOINT, TUBE_ON_PLATE
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -39,6 +40,9 @@ PARALLEL_RAD = np.radians(12.0)
 BEHIND_MM, MIN_EMPTY = 60.0, 0.3
 #: So many surfels are a surface.
 MIN_SURFELS = 8
+#: A bent face that turns by less than this is a tube or a warped plate: plates of 180 mm warped by 2 mm turn by 22
+#: to 25 deg, tubes seen by a camera by 55 to 116 (a branch of 12 mm on one of 30 mm is the least).
+WARPED_RAD = np.radians(40.0)
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class FaceShape:
     """Shape of a face: ``name`` is plane, cylinder or free form; a cylinder has ``radius_mm`` and ``axis`` (3,).
 
     ``bulges`` says that the face bends away from the side that is seen, like a tube's outside; ``may_bulge`` that a
-    plane may do so as well, for all that its noise tells.
+    plane may do so as well, for all that its noise tells; ``turn_rad`` how far a cylinder is seen to turn.
     """
 
     name: str
@@ -54,6 +58,7 @@ class FaceShape:
     axis: tuple[float, float, float] | None = None
     bulges: bool = False
     may_bulge: bool = False
+    turn_rad: float = np.inf
 
     def __str__(self) -> str:
         return f"cylinder of radius {self.radius_mm:.3g} mm" if self.name == CYLINDER else self.name
@@ -81,6 +86,25 @@ def face_shapes(fit: JointFit, surfels: Surfels, normals: Floats) -> tuple[FaceS
         for k, shape in enumerate(found)
     )
     return first, second
+
+
+def undecided(kind: str, shapes: tuple[FaceShape, FaceShape]) -> tuple[str, ...]:
+    """What to say of a corner whose one face bends away like a tube, while the noise hides whether the other does, or
+    of a tube that may be a warped plate."""
+    little = min(shape.turn_rad for shape in shapes)
+    if kind in (TUBE_ON_PLATE, SADDLE) and little < WARPED_RAD:
+        flat = T_JOINT if kind == TUBE_ON_PLATE else TUBE_ON_PLATE
+        return (
+            f"is undecided between {kind} and {flat}: a bent face turns by {np.degrees(little):.0f} deg over all that"
+            " is seen of it, as a warped plate may; ask for the kind with --joint",
+        )
+    bent, other = sorted(shapes, key=lambda shape: shape.name == PLANE)
+    if kind not in (T_JOINT, INSIDE) or not (bent.bulges and other.may_bulge):
+        return ()
+    return (
+        f"is undecided between {kind} and {SADDLE}: one face bends away like a tube, and the noise hides whether the"
+        " other one does; scan from nearer, or ask for the kind with --joint",
+    )
 
 
 def face_surfels(fit: JointFit, surfels: Surfels, normals: Floats) -> list[tuple[Floats, Floats]]:
@@ -170,7 +194,8 @@ def _shape(points: Floats, normals: Floats, noise: float) -> FaceShape:
     centre = solution[:2] @ first
     bulges = bool(centre @ normals.mean(axis=0) < 0 and scatter < BULGE_FRACTION * flat)
     if scatter < max(CYLINDER_FRACTION * flat, noise):
-        return FaceShape(CYLINDER, radius, (float(axis[0]), float(axis[1]), float(axis[2])), bulges)
+        direction = float(axis[0]), float(axis[1]), float(axis[2])
+        return FaceShape(CYLINDER, radius, direction, bulges, turn_rad=extent / radius)
     return FaceShape(FREE_FORM, bulges=bulges)
 
 

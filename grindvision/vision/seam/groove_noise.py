@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_diagnostics import MIN_WALL_FRACTION, Judged
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.seam_curve import around
+from grindvision.vision.seam.seam_curve import beside_stations
 
 Floats = NDArray[np.float64]
 
@@ -54,18 +53,16 @@ def patch_noise_mm(groove: DetectedGroove, cloud: Floats, spacing_mm: float) -> 
     half, middle = int(LOOKED_AT_WIDTHS * width / groove.step_mm / 2) + 2, len(groove.root) // 2
     here = slice(max(middle - half, 0), middle + half)
     root, normals = groove.root[here], groove.normals[here]
-    points = cloud[around(cloud, root, reach)]
-    away, station = cKDTree(root).query(points, distance_upper_bound=reach)
-    near = np.isfinite(away)
-    station, offset = station[near], points[near] - root[station[near]]
     along = unit_vectors(np.gradient(root, axis=0))
+    near, station, _ = beside_stations(cloud, root, along, reach, groove.step_mm)
+    offset = cloud[near] - root[station]
     across = unit_vectors(np.cross(normals, along))
     ahead = (offset * along[station]).sum(axis=1)
     place = station * groove.step_mm + ahead
     aside, height = (offset * across[station]).sum(axis=1), (offset * normals[station]).sum(axis=1)
     found = []
     for side in (-1.0, 1.0):
-        beside = (side * aside > first) & (side * aside < reach) & (np.abs(ahead) < groove.step_mm)
+        beside = (side * aside > first) & (side * aside < reach)
         squares = _squares(place[beside], side * aside[beside] - first, height[beside], patch)
         if squares:
             found.append(float(np.median(squares)))

@@ -24,6 +24,7 @@ from grindvision.vision.seam.face_fit import (
     intersections,
     narrower_meeting,
     root_normals,
+    unseen_bend,
     window_mm,
 )
 from grindvision.vision.seam.joint_extent import (
@@ -62,6 +63,8 @@ MIN_SEEN_DIHEDRAL_RAD, MIN_SHOWN_DEVIATIONS = np.radians(8.0), 2.5
 CONTINUED_LENGTHS, BASE_LENGTHS = 4.0, 8.0
 #: Weights of stations in a root line are between these parts of the usual one: each shows some place of the root.
 LEAST_WEIGHT, MOST_WEIGHT = 0.04, 4.0
+#: Faces that meet flatter than this, the sine, are not weighed as flatter ones.
+MIN_SINE = 0.05
 #: Fractions of the usual number of points near the seam below which a station, and with so many to each side, does not
 #: show a face: pixels mixed behind its end are few, and a single one makes no station.
 MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.18, 2.0
@@ -72,7 +75,7 @@ MIN_COVERAGE, MIN_COVERAGE_AROUND, COVERAGE_STATIONS = 0.15, 0.18, 2.0
 class JointFit:
     """A seam between two faces, at S stations of ``curve``.
 
-    ``root`` (S, 3) in mm, ``sigma_mm`` (S,) the standard deviation of its place across the seam; ``normals`` (S, 3)
+    ``root`` (S, 3) in mm, ``sigma_mm`` (S,) the standard deviation of its distance off, ``normals`` (S, 3)
     half-way between the faces' normals, which are ``faces.normal``; ``dihedral_rad`` (S,) the angle between these, with
     ``dihedral_sigma_rad`` (S,); ``legs_mm`` (2, S) how far each face reaches; ``shown`` (S,) where both faces are seen.
     ``noise_mm`` (2,) is the scatter of the points about the faces, ``bend_per_mm`` (2,) their curvature across the
@@ -80,7 +83,8 @@ class JointFit:
     is there close to the root already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of
     the angle at which the flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of
     themselves moved the root by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) is the same for faces
-    fitted right up to the root, which take in the rounding of a corner, and whose is ``bend_per_mm``.
+    fitted right up to the root, which take in the rounding of a corner, and whose is ``bend_per_mm``;
+    ``unseen_mm`` (S,) is what bends that do not show would move the root by, which is not done: see ``unseen_bend``.
     """
 
     curve: SeamCurve
@@ -100,6 +104,7 @@ class JointFit:
     facing: Floats
     missed_mm: Floats
     swayed_mm: Floats
+    unseen_mm: Floats
     closed: bool = False
 
     @property
@@ -255,8 +260,9 @@ def _result(
 ) -> JointFit:
     displacement, slopes, shown, closed = fitted
     normals = root_normals(faces, slopes)
-    weight, level, turn = _levels(faces, sides, slopes, shown)
-    line = root_line(curve, displacement, weight, level, window_mm(scale) / curve.step_mm)
+    weight, level, turns = _levels(faces, sides, slopes, shown)
+    window = window_mm(scale) / curve.step_mm
+    line = root_line(curve, displacement, weight, level, window)
     dihedral_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
     bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
     near, swayed = sides, bent
@@ -265,20 +271,21 @@ def _result(
         near = fit_faces(points, curve, faces, whole) or sides
         swayed = narrower_meeting(points, curve, faces, intersections(curve, faces, near)[0], weight, whole)
     root = line.places + bent[:, :1] * curve.across + bent[:, 1:] * curve.up
-    turn = smooth_along(turn, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
+    turn = smooth_along(turns, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
     out = unit_vectors(np.stack([smooth_along(normals[k], even, 2 * scale.cell, curve.step_mm) for k in (0, 1)]))
     turned = Faces(unit_vectors(faces.outward + slopes[..., None] * faces.normal), out)
     moved = replace(curve, stations=root)
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
-    sigma = np.maximum(line.scatter * line.sigma * level, 0.02 * scale.spacing)
+    sigma = np.maximum(np.sqrt(2.0) * line.scatter * line.sigma * level, 0.02 * scale.spacing)  # in both directions
+    unseen = np.linalg.norm(unseen_bend(sides, window), axis=0) / np.maximum(np.sin(turns), MIN_SINE)
     result = JointFit(
         moved, root, sigma, unit_vectors(out[0] + out[1]), turned,
         turn, line.scatter * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(near.coefficients[..., 2], axis=1),
         2 * near.bend_sigma,
         np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards),
-        np.linalg.norm(bent, axis=1), np.linalg.norm(swayed, axis=1), closed,
+        np.linalg.norm(bent, axis=1), np.linalg.norm(swayed, axis=1), unseen, closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 
@@ -288,7 +295,7 @@ def _levels(faces: Faces, sides: FaceFit, slopes: Floats, shown: Flags) -> tuple
     the faces, rad, (S,) each."""
     normals = root_normals(faces, slopes)
     turn = np.arccos(np.clip(np.einsum("si,si->s", normals[0], normals[1]), -1, 1))
-    level = np.sqrt(sides.covariance[..., 0, 0].sum(axis=0)) / np.maximum(np.sin(turn), 0.05)
+    level = np.sqrt(sides.covariance[..., 0, 0].sum(axis=0)) / np.maximum(np.sin(turn), MIN_SINE)
     weight = np.where(shown, 1 / np.maximum(level, 1e-9) ** 2, 0.0)
     usual = np.median(weight[shown])
     return np.where(shown, np.clip(weight, LEAST_WEIGHT * usual, MOST_WEIGHT * usual), 0.0), level, turn
@@ -336,4 +343,5 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
         faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
         dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
         facing=fit.facing[here], missed_mm=fit.missed_mm[here], swayed_mm=fit.swayed_mm[here],
+        unseen_mm=fit.unseen_mm[here],
     )  # fmt: skip

@@ -32,7 +32,7 @@ class Seam:
     """A weld seam at S stations, in the cloud's frame, mm.
 
     ``kind`` is one of ``joint_names.KINDS``, ``evidence`` says in words why. ``root`` (S, 3) is the line to weld with
-    ``sigma_mm`` (S,) across the seam; ``normals`` (S, 3) lead out of the joint, half-way between its faces: a torch
+    ``sigma_mm`` (S,) of its distance; ``normals`` (S, 3) lead out of the joint, half-way between its faces: a torch
     without work angle comes in against them. ``faces`` (2, S, 3) are the two surfaces' normals, ``opening_deg`` (S,)
     the angle of the air between them with ``opening_sigma_deg``; ``legs_mm`` (2, S) how far each face was followed.
     ``toes`` (2, S, 3) are where the joint ends on both sides: a groove's edges, a gap's edges, else the root.

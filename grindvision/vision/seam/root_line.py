@@ -74,14 +74,15 @@ def root_line(curve: SeamCurve, displacement: Floats, weight: Floats, level: Flo
     number = np.arange(len(curve))
     shared = np.exp(-np.pi * (np.subtract.outer(number, number) / alike) ** 2)
     rest = np.eye(len(curve)) - projection
-    variance, excess = np.zeros(len(curve)), []
+    variance, squares, promised = np.zeros(len(curve)), [], []
     for k, length_mm in enumerate(lengths):
         left = rest - smooth_along(rest, weight / weight.max(), length_mm, curve.step_mm)
         kept = np.eye(len(curve)) - left
         variance += np.einsum("ij,ij->i", kept @ shared, kept) / 2
-        promised = float(np.median(np.einsum("ij,ij->i", left @ shared, left)[shown]))
-        excess.append((MAD_TO_STD * np.median(np.abs(beside[shown, k]))) ** 2 / max(promised, LEAST_LEFT))
-    scatter = max(1.0, float(np.sqrt(np.mean(excess))))
+        promised.append(max(float(np.median(np.einsum("ij,ij->i", left @ shared, left)[shown])), LEAST_LEFT))
+        squares.append((MAD_TO_STD * np.median(np.abs(beside[shown, k]))) ** 2)
+    # A direction in which the line follows every station says nothing of their scatter.
+    scatter = max(1.0, float(np.sqrt(np.sum(squares) / np.sum(promised))))
     return RootLine(smoothed.line, np.sqrt(np.clip(variance, 0.0, 1.0)), scatter)
 
 

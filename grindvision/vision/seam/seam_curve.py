@@ -143,13 +143,21 @@ def nearest_stations(points: Floats, curve: SeamCurve, reach_mm: float) -> tuple
 
     Points before the first or behind the last station are left out.
     """
-    starts = np.arange(0, len(curve), BLOCK)
-    middles = np.add.reduceat(curve.stations, starts, axis=0) / np.diff(starts, append=len(curve))[:, None]
-    away = np.linalg.norm(curve.stations - np.repeat(middles, BLOCK, axis=0)[: len(curve)], axis=1)
+    return beside_stations(points, curve.stations, curve.along, reach_mm, 0.75 * curve.step_mm)
+
+
+def beside_stations(
+    points: Floats, stations: Floats, along: Floats, reach_mm: float, ahead_mm: float
+) -> tuple[Integers, Integers, Floats]:
+    """As ``nearest_stations``, of stations (S, 3) with unit directions ``along`` (S, 3); points more than ``ahead_mm``
+    before or behind their station are left out."""
+    count = len(stations)
+    starts = np.arange(0, count, BLOCK)
+    middles = np.add.reduceat(stations, starts, axis=0) / np.diff(starts, append=count)[:, None]
+    away = np.linalg.norm(stations - np.repeat(middles, BLOCK, axis=0)[:count], axis=1)
     blocks = np.column_stack([middles, np.maximum.reduceat(away, starts)])
-    limits = np.array([reach_mm, 0.75 * curve.step_mm])
-    points = np.ascontiguousarray(points, dtype=float)
-    return _stations_near(points, curve.stations, curve.along, blocks, limits)
+    points, stations, along = (np.ascontiguousarray(one, dtype=float) for one in (points, stations, along))
+    return _stations_near(points, stations, along, blocks, np.array([reach_mm, ahead_mm]))
 
 
 def closed_runs(flags: Flags, size: int) -> Flags:

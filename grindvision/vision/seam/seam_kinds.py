@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.vision.seam.face_fit import Scale
-from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face_shapes, surroundings
+from grindvision.vision.seam.face_shapes import CYLINDER, PLANE, FaceShape, face_shapes, surroundings, undecided
 from grindvision.vision.seam.gap_lines import MAX_SPACINGS
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.joint_fit import JointFit
@@ -45,7 +45,7 @@ MIN_COARSE_RAD = np.radians(28.0)
 MIN_COARSE_SHARPNESS = 0.2
 MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
-MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.25, 0.08
+MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.35, 0.08
 #: Faces that are fitted to less of themselves meet within this fraction of a cell of where they met; those of one sheet
 #: that bends into the corner, through this angle at most, do not.
 MAX_MISSED_CELLS, MOST_BENT_RAD = 0.2, np.radians(100.0)
@@ -137,7 +137,7 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         kind,
         evidence,
         fit.root,
-        np.hypot(fit.sigma_mm, fit.missed_mm),
+        np.linalg.norm([fit.sigma_mm, fit.missed_mm, fit.unseen_mm], axis=0),
         fit.normals,
         fit.faces.normal,
         opening,
@@ -152,19 +152,8 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         _interruptions(fit.shown, fit.curve.step_mm),
         fit.closed,
         deviations=turn_deviations(fit, surfels.grid.size_mm),
-        doubts=_undecided(kind, shapes) + _unlike(fit, concave) + ((band,) if band else ()),
+        doubts=undecided(kind, shapes) + _unlike(fit, concave) + ((band,) if band else ()),
         glancing=_facing(fit) < MIN_SURE_FACING or bool(band),
-    )
-
-
-def _undecided(kind: str, shapes: tuple[FaceShape, FaceShape]) -> tuple[str, ...]:
-    """What to say of a corner whose one face bends away like a tube, while the noise hides whether the other does."""
-    bent, other = sorted(shapes, key=lambda shape: shape.name == PLANE)
-    if kind not in (T_JOINT, INSIDE) or not (bent.bulges and other.may_bulge):
-        return ()
-    return (
-        f"is undecided between {kind} and {SADDLE}: one face bends away like a tube, and the noise hides whether the"
-        " other one does; scan from nearer, or ask for the kind with --joint",
     )
 
 
