@@ -34,6 +34,9 @@ from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 
+SAME_MM = 1e-3
+"""Two scans of which no point differs by more are one, read twice, in metres and millimetres: noise is larger."""
+
 STOOD_MM = 1.0
 """A scanner that is no farther from where it stood before errs as it did there."""
 
@@ -98,7 +101,8 @@ def grind_again(
         finished: is told the name of each stage when it is done.
 
     Raises:
-        InputError, DegenerateError: as ``grind``; the tolerance is not above zero, or below the level of detection.
+        InputError, DegenerateError: as ``grind``; the tolerance is not above zero, or below the level of detection; the
+            new scan is the good one.
 
     Warns:
         GrindvisionWarning: something speaks against the comparison; a piece of which nothing is learnt, or whose rest
@@ -110,6 +114,8 @@ def grind_again(
             f"this job takes a skin of {job.sample['skin_mm']:g} mm off the surface as it lay, which the good scan does"
             " not show: compare the scans before and after with `grindvision detect AFTER BEFORE`"
         )
+    if not isinstance(sample, Model) and np.shape(sample) == np.shape(new) and np.allclose(sample, new, 0, SAME_MM):
+        raise InputError("the new scan is the good scan itself, point by point; give the scan made after the passes")
     clock = StageClock(finished)
     compared = compare(sample, new, options.compare, clock)
     for sentence in against_grinding(compared):
@@ -161,6 +167,15 @@ def _learnt(job: GrindingJob, pieces: tuple[StockPiece, ...]) -> tuple[LearntRem
         except InputError as error:
             warnings.warn(f"piece {number}: {error}", GrindvisionWarning, stacklevel=3)
             found.append(None)
+            continue
+        if plan.work.offset_sigma_mm == 0 and (told := found[-1]) is not None and told.refuted:
+            warnings.warn(
+                f"piece {number}: the wheel ran {abs(told.offset_mm):.2f} +- {told.offset_sigma_mm:.2g} mm"
+                f" {'higher' if told.offset_mm > 0 else 'lower'} than where it was touched off: worn, bent aside or"
+                " touched off elsewhere; touch it off again before the rest, or give --place-sigma for a new job",
+                GrindvisionWarning,
+                stacklevel=3,
+            )
     return tuple(found)
 
 

@@ -136,6 +136,7 @@ def test_another_good_scan_is_refused(folder, capsys, tmp_path):
         (["good.ply", "test.ply", "-o", "x", "--wheel", "-3"], "radius_mm is -3"),
         (["--again", "nowhere", "test.ply"], "no plan.npz"),
         (["--again", "job", "done.ply", "--tolerance-mm", "0.01", "-o", "x"], "below the level of detection"),
+        (["--again", "job", "good.ply", "--tolerance-mm", "0.25", "-o", "x"], "is the good scan itself"),
     ],
 )
 def test_what_cannot_be_ground_is_named_in_one_line(folder, capsys, monkeypatch, words, said):

@@ -304,6 +304,24 @@ def test_the_wheel_s_offset_is_learnt_from_its_own_cut(rng, factor, true_mm):
         assert learnt.factor == pytest.approx(factor, rel=0.05)
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+@pytest.mark.parametrize("high_mm", [0.05, 0.15])
+def test_a_wheel_that_runs_higher_than_it_was_touched_off_is_no_slow_process(rng, factor, high_mm):
+    """Worn, or bent aside by its force: heights above the floors alone do not tell it from a process that lags."""
+    plan = plan_grinding(scanned_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0))
+    high = scanned_after(plan, factor, high_mm)
+    for _ in range(3):
+        after = high + rng.normal(scale=0.03, size=high.shape)
+        learnt = learn_removal(plan, after, np.full(high.shape, 0.03))
+        assert abs(learnt.offset_mm - high_mm) < 3 * learnt.offset_sigma_mm + 0.01
+        assert learnt.at_least == (factor > 1) and learnt.refuted == (high_mm > 0.1)
+        if learnt.at_least:
+            assert learnt.factor <= factor
+        else:
+            sigma = learnt.k_sigma_mm2_n / plan.options.k_mm2_n
+            assert abs(learnt.factor - factor) < 3 * sigma and sigma < 0.1 * factor
+
+
 def test_a_patch_of_100_mm_is_covered_within_two_seconds():
     work = flat_work(lambda x, y: np.full_like(x, 0.2), size=(100.0, 100.0))
     options = GrindingOptions(pattern="raster", width_mm=6.0, depth_mm=0.2, leave_mm=0.02)

@@ -30,8 +30,19 @@ STEP = 0.02
 MIN_USED = 20
 """Fewer nodes tell nothing."""
 
+TOUCHED_MM = 0.03
+"""Standard deviation of where a wheel runs that was touched off: feeler and paper are 0.03 to 0.1 mm thick, and it
+wears and gives way. Taken for exact, a wheel 0.05 mm high that cut to its floors told a coefficient a third too small,
+with a stated error of 1 %."""
+
+REFUTED = 3.0
+"""So many standard deviations speak against a wheel's running where it was touched off: one in 400 by chance."""
+
 KNOWN = 0.1
-"""Where the wheel is touched off, so much of the level of detection is a lag: there it cannot be an offset."""
+"""Where the wheel is touched off, less than this fraction of the level of detection is no lag, nor is less than
+``BEYOND_OFFSET`` standard deviations of its offset."""
+
+BEYOND_OFFSET = 2.0
 
 MIN_REMOVED = 0.05
 """Less than this fraction of what was planned is nothing taken off."""
@@ -63,8 +74,8 @@ class LearntRemoval:
 
     ``lag_mm``: by how much the strokes ended above their paths in the mean. Where that is too little to be told,
     the passes cut down to their floors: ``at_least`` is True, and the coefficient is the least that the heights allow.
-    ``offset_mm``: how much higher the wheel ran than the plan took it to, with its standard deviation; 0 and 0 where it
-    was touched off.
+    ``offset_mm``: how much higher the wheel ran than the plan took it to, or than it was touched off, with its standard
+    deviation.
     """
 
     k_mm2_n: float
@@ -75,10 +86,16 @@ class LearntRemoval:
     offset_mm: float = 0.0
     offset_sigma_mm: float = 0.0
 
+    @property
+    def refuted(self) -> bool:
+        """Whether a wheel that was touched off did not run there: worn, bent aside, or touched off elsewhere."""
+        return abs(self.offset_mm) > REFUTED * float(np.hypot(TOUCHED_MM, self.offset_sigma_mm))
+
     def __str__(self) -> str:
         ran = f"; the wheel ran {self.offset_mm:+.3f} +- {self.offset_sigma_mm:.2g} mm" if self.offset_sigma_mm else ""
         if self.at_least:
-            return f"k is {self.k_mm2_n:.3g} mm2/N or more: the passes cut down to their floors{ran}"
+            floors = "the passes cut down to their floors, as far as the scan tells"
+            return f"k is {self.k_mm2_n:.3g} mm2/N or more: {floors}{ran}"
         return f"k = {self.k_mm2_n:.4g} +- {self.k_sigma_mm2_n:.2g} mm2/N, {self.factor:.2f} times the planned one{ran}"
 
 
@@ -87,9 +104,9 @@ def learn_removal(
 ) -> LearntRemoval:
     """Learn Preston's coefficient from the heights before the passes, which the plan holds, and those after them.
 
-    The passes are simulated with one factor on the depth of all strokes, and one offset of the wheel where the plan
-    says that it is not known (``Workpiece.offset_sigma_mm``); those whose outcome is nearest to what was measured are
-    they.
+    The passes are simulated with one factor on the depth of all strokes, and one offset of the wheel, which is known to
+    the plan's ``Workpiece.offset_sigma_mm``, or to ``TOUCHED_MM`` where it was touched off; those whose outcome is
+    nearest to what was measured are they.
 
     Args:
         plan: what was driven, from the heights that were measured before.
@@ -105,44 +122,72 @@ def learn_removal(
     replay, after = Replay(plan), after_mm[used]
     sigma = np.hypot(sigma_mm, replay.averaged_mm)[used]
     weights = 1 / np.maximum(sigma, 1e-9) ** 2 / alike_nodes
-    prior_sigma = plan.work.offset_sigma_mm
+    touched = plan.work.offset_sigma_mm == 0
 
     def left(factor: float, offset_mm: float) -> Floats:
         return replay.left_mm(factor, offset_mm)[used]
 
-    def cost(log_factor: float, deviations: float = 0.0) -> float:
+    def cost(log_factor: float, offset_mm: float, prior_sigma: float) -> float:
         factor = float(np.exp(np.clip(log_factor, np.log(SMALLEST), np.log(LARGEST))))
-        return float((weights * (after - left(factor, deviations * prior_sigma)) ** 2).sum()) + deviations**2
+        return float((weights * (after - left(factor, offset_mm)) ** 2).sum()) + (offset_mm / prior_sigma) ** 2
 
-    log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
-    tried = np.linspace(-3, 3, TRIED_OFFSETS) if prior_sigma else [0.0]
-    starts = sorted(((one, other) for one in log_factors for other in tried), key=lambda terms: cost(*terms))
-    free = 2 if prior_sigma else 1
-    ends = [_best(lambda terms: cost(*terms), np.array(start)[:free]) for start in starts[: REFINED if free > 1 else 1]]
-    found = np.append(min(ends, key=lambda terms: cost(*terms)), np.zeros(2 - free))
-    factor, offset = float(np.exp(found[0])), float(found[1]) * prior_sigma
+    prior_sigma = TOUCHED_MM if touched else plan.work.offset_sigma_mm
+    factor, offset = _fitted(cost, prior_sigma)
+    if touched and abs(offset) > TOUCHED_MM:  # held back by what was taken to be known of it
+        prior_sigma = abs(offset)
+        factor, offset = _fitted(cost, prior_sigma)
+    if touched:
+        allowed = (REFUTED * _misfit(after - left(factor, offset), weights, alike_nodes)[0]) ** 2
+        there = float(_best(lambda terms: cost(float(terms[0]), 0.0, prior_sigma), np.log([factor]))[0])
+        if cost(there, 0.0, prior_sigma) - cost(float(np.log(factor)), offset, prior_sigma) < allowed:
+            factor, offset = float(np.exp(there)), 0.0
     lag = float((left(factor, offset) - left(WHOLE, offset)).mean())
-    misfit, misfit_mm = _misfit(after - left(factor, offset), weights, alike_nodes, free)
-    at_least = lag < max(plan.work.level_mm * (1.0 if prior_sigma else KNOWN), BEYOND_MISFIT * misfit_mm)
-    if at_least and prior_sigma:
-        offset = prior_sigma * float(_best(lambda deviations: cost(np.log(WHOLE), *deviations), found[1:])[0])
-    weights = weights / misfit**2
+    misfit, misfit_mm = _misfit(after - left(factor, offset), weights, alike_nodes)
     # what the passes as simulated miss beyond noise is no noise: it may lie on one side of all nodes
     common_mm = float(np.hypot(common_sigma_mm, misfit_mm))
-    k_sigma, offset_sigma = _sigmas(plan, (factor, offset), at_least, left, weights, common_mm)
+    sure = weights / misfit**2
+    k_sigma, offset_sigma = _sigmas((factor, offset, prior_sigma), False, left, sure, common_mm)
+    level_mm = max(KNOWN * plan.work.level_mm, BEYOND_OFFSET * offset_sigma) if touched else plan.work.level_mm
+    at_least = lag < max(level_mm, BEYOND_MISFIT * misfit_mm)
     if at_least:
+        factor = _least(lambda log_factor: _slid(cost, log_factor, offset, prior_sigma)[1], factor, BOUND * misfit)
+        offset = _slid(cost, float(np.log(WHOLE)), offset, prior_sigma)[0]
+        _, offset_sigma = _sigmas((WHOLE, offset, prior_sigma), True, left, sure, common_mm)
         # a lag too small to be told apart from an offset would pass for one
-        offsets = offset / prior_sigma if prior_sigma else 0.0
-        factor, k_sigma = _least(lambda log_factor: cost(log_factor, offsets), factor, BOUND * misfit), np.inf
-        offset_sigma = min(float(np.hypot(offset_sigma, lag)), prior_sigma)
+        k_sigma, offset_sigma = np.inf, min(float(np.hypot(offset_sigma, lag)), prior_sigma)
     planned = plan.options.k_mm2_n
     return LearntRemoval(planned * factor, planned * k_sigma, factor, lag, at_least, offset, offset_sigma)
 
 
-def _misfit(off_mm: Floats, weights: Floats, alike_nodes: float, free: int) -> tuple[float, float]:
+def _fitted(cost: Callable[[float, float, float], float], prior_sigma: float) -> tuple[float, float]:
+    """Factor and offset in mm of the least cost."""
+    log_factors = np.linspace(np.log(SMALLEST), np.log(LARGEST), TRIED_FACTORS)
+    tried = np.linspace(-3, 3, TRIED_OFFSETS)
+
+    def at(terms: Floats) -> float:
+        return cost(float(terms[0]), float(terms[1]) * prior_sigma, prior_sigma)
+
+    starts = sorted((np.array([one, other]) for one in log_factors for other in tried), key=at)
+    found = min((_best(at, start) for start in starts[:REFINED]), key=at)
+    return float(np.exp(found[0])), float(found[1]) * prior_sigma
+
+
+def _slid(
+    cost: Callable[[float, float, float], float], log_factor: float, offset_mm: float, prior_sigma: float
+) -> tuple[float, float]:
+    """The best offset in mm at a factor, from ``offset_mm`` on, and its cost."""
+
+    def at(deviations: Floats) -> float:
+        return cost(log_factor, float(deviations[0]) * prior_sigma, prior_sigma)
+
+    found = _best(at, np.array([offset_mm / prior_sigma]))
+    return float(found[0]) * prior_sigma, at(found)
+
+
+def _misfit(off_mm: Floats, weights: Floats, alike_nodes: float) -> tuple[float, float]:
     """What the passes as simulated leave of the measured heights, ``off_mm`` (N,): over their noise, 1 at least, and
     beyond it in mm. On a map that is coarse against the wheel it is more than noise."""
-    told = max(len(off_mm) / alike_nodes - free, 1.0)
+    told = max(len(off_mm) / alike_nodes - 2, 1.0)
     noise = len(off_mm) / float((weights * alike_nodes).sum())
     beyond = max(float((off_mm**2).mean()) - noise, 0.0)
     return max(1.0, float(np.sqrt((weights * off_mm**2).sum() / told))), float(np.sqrt(beyond))
@@ -191,27 +236,23 @@ def _used_nodes(plan: GrindingPlan, after_mm: Floats, sigma_mm: Floats) -> Flags
 
 
 def _sigmas(
-    plan: GrindingPlan,
-    found: tuple[float, float],
+    found: tuple[float, float, float],
     at_least: bool,
     left: Callable[[float, float], Floats],
     weights: Floats,
     common_sigma_mm: float,
 ) -> tuple[float, float]:
-    """Standard deviations of the factor, unless it is ``at_least``, and of the offset; ``weights`` (N,) of nodes."""
-    (factor, offset), prior_sigma = found, plan.work.offset_sigma_mm
-    slopes, prior = [], []
+    """Standard deviations of the factor, unless it is ``at_least``, and of the offset, which are ``found`` with what is
+    known of the offset beforehand; ``weights`` (N,) of nodes."""
+    factor, offset, prior_sigma = found
+    step = 0.2 * prior_sigma
+    slopes = [(left(factor, offset + step) - left(factor, offset - step)) / (2 * step)]
+    prior = [1 / prior_sigma**2]
     if not at_least:
         slopes.append((left(factor * (1 + STEP), offset) - left(factor * (1 - STEP), offset)) / (2 * STEP * factor))
         prior.append(1e-12)
-    if prior_sigma:
-        step, there = 0.2 * prior_sigma, WHOLE if at_least else factor
-        slopes.append((left(there, offset + step) - left(there, offset - step)) / (2 * step))
-        prior.append(1 / prior_sigma**2)
-    if not slopes:
-        return np.inf, 0.0
     design = np.array(slopes)
     covariance = np.linalg.inv((design * weights) @ design.T + np.diag(prior))
     common = covariance @ (design * weights).sum(axis=1)
     sigmas = np.sqrt(np.diag(covariance + common_sigma_mm**2 * np.outer(common, common)))
-    return (np.inf if at_least else float(sigmas[0])), min(float(sigmas[-1]), prior_sigma) if prior_sigma else 0.0
+    return (np.inf if at_least else float(sigmas[1])), min(float(sigmas[0]), prior_sigma)
