@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from grindvision.errors import InputError
 from grindvision.motion.grinding import plan_grinding, simulate_passes
 from grindvision.motion.grinding_beside import check_beside, with_free_leads
 from grindvision.motion.grinding_contact import WHEEL, reach_into, tool_shape
@@ -135,3 +136,17 @@ def test_a_coefficient_that_is_only_bounded_is_not_below_its_bound(rng, factor):
         told = learn_removal(plan, after + rng.normal(scale=0.03, size=after.shape), np.full(after.shape, 0.03))
         bounds += [told.factor] if told.at_least else []
     assert len(bounds) > 3 and np.mean(np.array(bounds) <= factor) > 0.8
+
+
+@pytest.mark.parametrize(("bend_per_mm", "told"), [(1 / 4.5, False), (1 / 20, True), (-1 / 20, True)])
+def test_a_hollow_tighter_than_the_map_s_nodes_tell_teaches_no_coefficient(rng, bend_per_mm, told):
+    """Between two nodes the ground rises under the wheel's sides by more than they cut: k came out 40 % off."""
+    work = flat_work(bend_per_mm=bend_per_mm)
+    plan = plan_grinding(work, GrindingOptions(depth_mm=0.1, width_mm=4.0))
+    *_, after = simulate_passes(plan, work.heights.heights_mm, 0.6)
+    after, sigma = after + rng.normal(scale=0.02, size=after.shape), np.full(after.shape, 0.02)
+    if told:
+        assert learn_removal(plan, after, sigma).factor == pytest.approx(0.6, rel=0.1)
+        return
+    with pytest.raises(InputError, match=r"not determined: in a hollow of 4\.\d mm radius nodes 0\.5 mm apart"):
+        learn_removal(plan, after, sigma)
