@@ -31,8 +31,8 @@ def along(*runs):
 def test_a_hole_is_bridged_to_a_stretch_of_the_same_corner_only(behind, expected):
     shown, turns = along((40, RIGHT_ANGLE), (6, None), behind)
     assert main_run(shown, turns, 2.0) == expected
-    first, last = main_run(shown[::-1], turns[::-1], 2.0)
-    assert (len(shown) - last, len(shown) - first) == expected
+    mirrored = (len(shown) - expected[1], len(shown) - expected[0])
+    assert main_run(shown[::-1], turns[::-1], 2.0) == mirrored
 
 
 def test_a_long_hole_ends_a_seam():

@@ -53,7 +53,8 @@ def draw(
 
 
 def _cut(text: str, longest: int) -> str:
-    return text if len(text) <= longest else text[: longest - 1] + "…"
+    """The text, or as many of its words as fit, with the mark of an omission."""
+    return text if len(text) <= longest else text[: longest - 1].rsplit(" ", 1)[0] + "…"
 
 
 def _page(
@@ -80,7 +81,7 @@ def _page(
         left, up = 0.06 + 0.48 * (at % 2), 0.275 - 0.0165 * (at // 2)
         figure.text(left, up, name, fontsize=8)
         figure.text(left + 0.18, up, value, fontsize=8, parse_math=False)
-    lines = [line for text in warnings[:4] for line in textwrap.wrap(f"Look: {text}", 125)[:2]]
+    lines = [line for text in warnings[:4] for line in textwrap.wrap(_cut(f"Look: {text}", 240), 125)]
     lines += [f"{_cut(Path(path).name, 50)}  sha256 {digest}" for path, digest in facts["inputs"].items()]
     lines.append(f"grindvision {__version__}, Python {platform.python_version()}, Matplotlib {matplotlib.__version__}")
     lines.append("Heights over the good surface along its normals; frame: scanner frame of the last scan; sigma: one.")
@@ -98,7 +99,7 @@ def _rows(piece: StockPiece, plan: GrindingPlan | None, verdict: Remaining | Non
         ("greatest height", f"{piece.height_max_mm:.3f} +- {piece.height_max_sigma_mm:.2g} mm"),
         ("mean height there", f"{piece.height_mean_mm:.3f} +- {piece.height_mean_sigma_mm:.2g} mm"),
         ("level of detection", f"{piece.level_mm:.3f} mm"),
-        ("hidden / not shown", f"{piece.hidden_mm2:.3g} / {rounded(piece.unshown_mm2)} mm2"),
+        ("hidden / not shown", f"{rounded(piece.hidden_mm2)} / {rounded(piece.unshown_mm2)} mm2"),
     ]
     if verdict is not None:
         rows += [

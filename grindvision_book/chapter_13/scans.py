@@ -130,7 +130,7 @@ def ground_part(folder: Path, every: int = 1) -> GroundPart:
     places = [found.difference.surfels] * 2, [found.difference.signed_mm] * 2
     if found.deformed is not None:
         places = [found.deformed.points, places[0][1]], [found.deformed.sizes_mm, places[1][1]]
-    chosen = [out[marked[cKDTree(scan).query(at)[1]]] for at, out in zip(*places, strict=True)]
+    off_rigid, off_bent = (out[marked[cKDTree(scan).query(at)[1]]] for at, out in zip(*places, strict=True))
     return GroundPart(
         found,
         cKDTree(model).query(move_points(pose, scan))[0],
@@ -138,7 +138,8 @@ def ground_part(folder: Path, every: int = 1) -> GroundPart:
         marked,
         float(np.degrees(angle_between(settled[:3, :3], pose[:3, :3]))),
         least_median(scan, model, pose),
-        *(np.nanquantile(one, (0.16, 0.5, 0.84)) for one in chosen),
+        np.nanquantile(off_rigid, (0.16, 0.5, 0.84)),
+        np.nanquantile(off_bent, (0.16, 0.5, 0.84)),
         tuple(str(one.message) for one in caught),
     )
 
