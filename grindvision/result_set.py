@@ -66,7 +66,8 @@ def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> It
         try:
             if alone:
                 _finish_or_remove_earlier(folder)
-            place = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
+            with undisturbed():
+                place = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
             yield place
             with undisturbed():
                 place = _decide(place, folder, last, outdated)
@@ -88,13 +89,14 @@ def write_set(folder: str | Path, last: str, outdated: Sequence[str] = ()) -> It
 def _folder_of_ours(folder: Path) -> Iterator[bool]:
     """Make the folder and lock it; yields whether nobody else can be in it. Removes what it made and nobody filled."""
     new: list[Path] = []
+    handle = None
     try:
-        new += [parent for parent in (folder, *folder.parents) if not parent.exists()]
-        handle = _locked(folder)
-    except OSError as error:
-        _remove_empty(new)
-        raise FileError(f"cannot write to {folder}: {error.strerror}; choose a folder you may write to") from None
-    try:
+        try:
+            with undisturbed():
+                new += [parent for parent in (folder, *folder.parents) if not parent.exists()]
+                handle = _locked(folder)
+        except OSError as error:
+            raise FileError(f"cannot write to {folder}: {error.strerror}; choose a folder you may write to") from None
         yield handle is not None
     finally:
         if handle is not None:

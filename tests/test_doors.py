@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from contextlib import contextmanager, suppress
@@ -246,6 +247,46 @@ def test_names_that_are_no_text(good, tmp_path, door):
 
 
 # Streams that are closed, full, or read by nobody
+
+
+@pytest.mark.parametrize("words", [["--help"], ["detect", "--help"]])
+def test_a_reader_who_has_gone_before_the_help_comes_is_no_fault(words):
+    here, there = os.pipe()
+    os.close(here)
+    unbuffered = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    run = [sys.executable, "-m", "grindvision", *words]
+    done = subprocess.run(run, stdout=there, stderr=subprocess.PIPE, env=unbuffered, timeout=PATIENCE_S, check=False)
+    os.close(there)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("moment", ["the folder is made", "the folder is locked", "the hidden folder is made"])
+def test_a_signal_while_folders_are_made_leaves_none(tmp_path, monkeypatch, moment):
+    fcntl = pytest.importorskip("fcntl", reason="no locks of this kind here")
+
+    def then_a_signal(module, name):
+        made = getattr(module, name)
+
+        def disturbed(*words, **settings):
+            result = made(*words, **settings)
+            signal.raise_signal(signal.SIGINT)
+            return result
+
+        monkeypatch.setattr(module, name, disturbed)
+
+    where = {
+        "the folder is made": (Path, "mkdir"),
+        "the folder is locked": (fcntl, "flock"),
+        "the hidden folder is made": (tempfile, "mkdtemp"),
+    }
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        then_a_signal(*where[moment])
+        with pytest.raises(Interrupted), ending_signals_interrupt(), write_set(tmp_path / "a" / "b", "last.txt"):
+            pass
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("closing", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true", "2>/dev/full"])

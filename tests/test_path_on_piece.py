@@ -75,5 +75,5 @@ def test_a_face_that_stands_out_as_a_whole_gets_no_line_drawn_through_it():
     x, y = np.meshgrid(np.arange(0, 60.0), np.arange(0, 40.0))
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
     up = np.tile([0.0, 0, 1], (x.size, 1))
-    with pytest.raises(NoPathError, match=r"a face of 2\.4e\+03 mm2 stands out by 0\.50 mm"):
+    with pytest.raises(NoPathError, match=r"a face of 2,400 mm2 stands out by 0\.50 mm"):
         trace_bead(Cluster(points, np.full(x.size, 0.5), up, 1.0, 2400.0, 1200.0, 0.5))

@@ -10,12 +10,12 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from grindvision import __version__
 from grindvision.cli import pictures
 from grindvision.cli.parameters import with_parameter_file
-from grindvision.cli.streams import complain, shown_warnings, sound_streams
+from grindvision.cli.streams import complain, say, shown_warnings, sound_streams
 from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped, one_line
 from grindvision.interrupts import ending_signals_interrupt
 
@@ -132,6 +132,10 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         complain(f"{self.prog}: {clipped(message)}; `{self.prog} --help` lists what it takes")
         raise SystemExit(2)
+
+    def print_help(self, file: Any = None) -> None:
+        """On stdout, as every result is printed: a reader who has gone away had enough."""
+        say(self.format_help().rstrip("\n"))
 
 
 def _one_line(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
