@@ -27,15 +27,13 @@ from grindvision.motion.removal import LearntRemoval, learn_removal
 from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.change.comparison import Comparison, compare
+from grindvision.vision.change.coverage import same_scan
 from grindvision.vision.change.remaining import Remaining, judge_remaining
 from grindvision.vision.change.stock import StockPiece, measure_again
 from grindvision.vision.registration.scan_registration import StageClock
 from grindvision.words import counted
 
 Floats = NDArray[np.float64]
-
-SAME_MM = 1e-3
-"""Two scans of which no point differs by more are one, read twice, in metres and millimetres: noise is larger."""
 
 STOOD_MM = 1.0
 """A scanner that is no farther from where it stood before errs as it did there."""
@@ -114,13 +112,13 @@ def grind_again(
             f"this job takes a skin of {job.sample['skin_mm']:g} mm off the surface as it lay, which the good scan does"
             " not show: compare the scans before and after with `grindvision detect AFTER BEFORE`"
         )
-    if not isinstance(sample, Model) and np.shape(sample) == np.shape(new) and np.allclose(sample, new, 0, SAME_MM):
-        raise InputError("the new scan is the good scan itself, point by point; give the scan made after the passes")
     clock = StageClock(finished)
     compared = compare(sample, new, options.compare, clock)
     for sentence in against_grinding(compared):
         warnings.warn(sentence, GrindvisionWarning, stacklevel=2)
     found = compared.registration
+    if same_scan(found.source, found.target, found.fine):
+        raise InputError("the new scan is the good scan itself, point by point; give the scan made after the passes")
     T_new_test = inverse(found.T_target_source) @ job.T_sample_test
     pieces = measure_again(found.source, found.target, found.fine, compared.difference, job.places, T_new_test)
     clock.lap("stock")

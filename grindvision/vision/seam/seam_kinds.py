@@ -44,7 +44,8 @@ MIN_COARSE_RAD = np.radians(28.0)
 #: flat, which finer cells show, and those of tubes bend away.
 MIN_COARSE_SHARPNESS = 0.2
 MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
-#: The root is known within this fraction of a cell, and the faces scatter by at most this one more than the scan.
+#: The root is known within this fraction of a cell, a quarter in each direction across the seam, and the faces scatter
+#: by at most this one more than the scan.
 MAX_SIGMA_CELLS, MAX_SCATTER_CELLS = 0.35, 0.08
 #: Faces that are fitted to less of themselves meet within this fraction of a cell of where they met; those of one sheet
 #: that bends into the corner, through this angle at most, do not.
