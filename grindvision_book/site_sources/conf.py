@@ -2,12 +2,15 @@
 
 import os
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.util.parallel import make_chunks
 
 import grindvision
 
@@ -34,6 +37,7 @@ suppress_warnings = ["myst.xref_missing", "config.cache", "ref.python"]  # two r
 autodoc_default_options = {"no-value": True}
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
+autodoc_use_type_comments = False  # there are none, and to look for them takes its time
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ("ArrayLike", "Floats", "Flags", "Integers", "NDArray")}
 napoleon_custom_sections = [("Warns", "params_style")]
@@ -90,6 +94,8 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", _with_plain_aliases)
     app.connect("html-page-context", _about_the_page)
     app.connect("html-page-context", _contents_by_titles)
+    app.connect("env-before-read-docs", _deal_out)
+    app.connect("env-updated", _look_up_names_once)
     app.connect("build-finished", _finish_pages)
 
 
@@ -106,6 +112,24 @@ def _about_the_page(app: Sphinx, page: str, template: str, context: dict[str, An
     picture = f"_images/{files[0]}" if files else "_static/share.png"
     context["page_about"] = about if len(about) < 200 else about[:197].rsplit(" ", 1)[0] + "..."
     context["page_picture"] = os.environ.get("GRINDVISION_SITE_URL", "") + picture
+
+
+def _deal_out(app: Sphinx, env: BuildEnvironment, names: list[str]) -> None:
+    """Deal the pages out so that each of the runs in which Sphinx reads them has its part of the reference.
+
+    That takes two thirds of the time, and stands together in the alphabet: one core read it while the others waited.
+    """
+    modules = {name: env.doc2path(name).read_text(encoding="utf-8").count("automodule::") for name in names}
+    longest = sorted(names, key=lambda name: (-modules[name], name))
+    runs = len(make_chunks(names, app.parallel))
+    names[:] = [name for run in reversed(range(runs)) for name in longest[run::runs]]  # the last run is read first
+
+
+def _look_up_names_once(app: Sphinx, env: BuildEnvironment) -> list[str]:
+    """Names in annotations are sought once each: Sphinx goes through all objects of the reference for every one."""
+    domain = env.get_domain("py")
+    domain.find_obj = cache(domain.find_obj)  # type: ignore[attr-defined]
+    return []
 
 
 def _contents_by_titles(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
