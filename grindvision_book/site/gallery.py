@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
+from grindvision.parallel import parallel_map
 from grindvision_book.site.pictures import Figure, Table
 
 #: Width of the small pictures, in pixels.
@@ -34,7 +36,7 @@ def gallery_page(
         if not of_chapter and not listed:
             continue
         parts.append(f"## {link}\n")
-        cards = [_card(folder, figure) for figure in of_chapter]
+        cards = parallel_map(partial(_card, folder), of_chapter)
         if cards:
             parts.append("::::{container} gallery\n" + "\n".join(cards) + "\n::::\n")
         parts += [

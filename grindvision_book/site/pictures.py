@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grindvision.parallel import parallel_map
+
 if TYPE_CHECKING:
     from PIL import Image
 
@@ -61,14 +63,17 @@ class Table:
 
 def light_copies(folder: Path) -> dict[str, str]:
     """Write a WebP copy of every heavy drawing and every animation; returns file name -> name of its copy."""
-    light = {}
-    for path in sorted(folder.glob("*.svg")):
-        if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists() and not _white_text_in(path):
-            light[path.name] = f"{path.stem}.webp"
-            _write_picture(path.with_suffix(".png"), folder / light[path.name])
-    for path in sorted(folder.glob("*.gif")):
-        light[path.name] = f"{path.stem}_moving.webp"
-        _write_animation(path, folder / light[path.name])
+    heavy = [
+        path
+        for path in sorted(folder.glob("*.svg"))
+        if path.stat().st_size > HEAVY_BYTES and path.with_suffix(".png").exists() and not _white_text_in(path)
+    ]
+    moving = sorted(folder.glob("*.gif"))
+    light = {path.name: f"{path.stem}.webp" for path in heavy} | {
+        path.name: f"{path.stem}_moving.webp" for path in moving
+    }
+    parallel_map(lambda path: _write_picture(path.with_suffix(".png"), folder / light[path.name]), heavy)
+    parallel_map(lambda path: _write_animation(path, folder / light[path.name]), moving)
     return light
 
 
@@ -81,12 +86,15 @@ def dark_copies(folder: Path, target: Path, light: Mapping[str, str]) -> None:
         light: as ``light_copies`` returns it.
     """
     target.mkdir(parents=True, exist_ok=True)
-    for path in sorted(folder.glob("*.svg")):
+
+    def write(path: Path) -> None:
         shown = light.get(path.name, path.name)
         if shown == path.name:
             (target / shown).write_text(dark_svg(path.read_text(encoding="utf-8")), encoding="utf-8")
         else:
             _write_dark_picture(folder / shown, target / shown)
+
+    parallel_map(write, sorted(folder.glob("*.svg")))
 
 
 def dark_svg(svg: str) -> str:
