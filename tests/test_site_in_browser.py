@@ -47,17 +47,39 @@ def pages(whole_site) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
-        yield chromium
-        chromium.close()
+def playwright():
+    with sync_api.sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def browser(playwright):
+    """Chromium for pages without 3D scenes: where WebGL is drawn in software, all else is, which takes longer."""
+    chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+    yield chromium
+    chromium.close()
+
+
+@pytest.fixture(scope="module")
+def browser_with_webgl(playwright):
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+    yield chromium
+    chromium.close()
 
 
 @pytest.fixture
 def tab(browser):
     """A tab that refuses everything but files, and a list of what went wrong in it."""
+    yield from _tab(browser)
+
+
+@pytest.fixture
+def tab_with_webgl(browser_with_webgl):
+    yield from _tab(browser_with_webgl)
+
+
+def _tab(browser):
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     page.troubles = []
@@ -189,7 +211,8 @@ def test_the_search_finds(whole_site, tab, words):
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
-def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
+def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab_with_webgl, scene):
+    tab = tab_with_webgl
     assert (whole_site / "scenes" / f"{scene.name}.html").stat().st_size < HEAVIEST_SCENE_BYTES
     tab.goto((whole_site / "scenes.html").as_uri())
     assert tab.locator("iframe").count() == 0
@@ -206,8 +229,8 @@ def test_a_scene_opens_on_demand_and_is_not_blank(whole_site, tab, scene):
 
 
 @pytest.mark.parametrize("playback", PLAYBACKS, ids=lambda playback: playback.name)
-def test_a_pipeline_plays_steps_to_its_end_and_hides_layers_by_touch_too(whole_site, browser, playback):
-    context = browser.new_context(viewport={"width": 390, "height": 700}, has_touch=True)
+def test_a_pipeline_plays_steps_to_its_end_and_hides_layers_by_touch_too(whole_site, browser_with_webgl, playback):
+    context = browser_with_webgl.new_context(viewport={"width": 390, "height": 700}, has_touch=True)
     page = context.new_page()
     page.goto((whole_site / "scenes" / f"{playback.name}.html").as_uri())
     last = int(page.locator("#step").get_attribute("max"))
