@@ -23,12 +23,21 @@ if TYPE_CHECKING:
 own_process = False
 
 
+def loaded(module: str) -> Any:
+    """A module of this folder that draws.
+
+    Raises:
+        MissingExtraError: Matplotlib is not installed.
+    """
+    _postpone_glyph_names()
+    with matplotlib_has_a_folder(), _without_docstrings():
+        return import_module(f"grindvision.cli.{module}")
+
+
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
-    _postpone_glyph_names()
     try:
-        with matplotlib_has_a_folder(), _without_docstrings():
-            return import_module(f"grindvision.cli.{module}").draw
+        return loaded(module).draw
     except MissingExtraError as error:
         missing = str(error)
 
