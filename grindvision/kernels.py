@@ -20,7 +20,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numba
 from llvmlite import binding
@@ -108,7 +108,7 @@ class KernelCache(_Cache):
                 content = (folder / name).read_bytes() if is_ours(folder) else b""
                 digest, data = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
                 if data and digest == _digest(data):
-                    found = restored(target, *pickle.loads(data))
+                    found = restored(target, pickle.loads(data))
                     self._tell()
                     return found
             except Exception:
@@ -123,9 +123,7 @@ class KernelCache(_Cache):
         if not self._enabled or any(not part.can_cache for part in result.lifted) or result.library.has_dynamic_globals:
             return
         name = self._entry(signature, result.codegen)
-        library, description, environment, *rest, environments = result._reduce()
-        described = _described(environment), [_described(one) for one in environments]
-        data = dumps((_defined_names(result.library), *described, library, description, *rest))
+        data = dumps(_taken_apart(result))
         for folder in _folders():
             if made(folder) and _written(folder / name, _digest(data) + data):
                 self._drop(keep=_stamp(self._source)[:12])
@@ -166,27 +164,48 @@ class _KeptLibrary(JITCodeLibrary):
         return self._shared_module
 
 
-def restored(
-    target: Any, names: set[str], described: _Described, environments: Sequence[_Described],
-    library_data: tuple[str, str, tuple[bytes, bytes]], description: Any, signature: Any, object_mode: bool,
-    lifted: Any, types: str, initialisers: Any,
-) -> Any:  # fmt: skip
-    """What numba's ``_reduce`` took apart, put together for a ``target``; its machine code defines ``names``."""
-    for initialise in initialisers:
+class Kept(NamedTuple):
+    """A compiled kernel as it is kept: what numba's ``_reduce`` gives, and the ``names`` that its machine code defines;
+    environments are described by their module's name, their constants and their own name."""
+
+    names: set[str]
+    library: tuple[str, str, tuple[bytes, bytes]]
+    description: Any
+    environment: _Described
+    signature: Any
+    object_mode: bool
+    lifted: Any
+    types: str
+    initialisers: Any
+    environments: list[_Described]
+
+
+def _taken_apart(result: Any) -> Kept:
+    library, description, environment, signature, object_mode, lifted, types, initialisers, others = result._reduce()
+    return Kept(
+        _defined_names(result.library), library, description, _described(environment), signature, object_mode, lifted,
+        types, initialisers, [_described(one) for one in others],
+    )  # fmt: skip
+
+
+def restored(target: Any, kept: Kept) -> Any:
+    """A kept kernel made ready for a ``target``."""
+    for initialise in kept.initialisers:
         initialise()
     codegen = target.codegen()
-    name, _, codes = library_data
+    name, _, codes = kept.library
     library = _KeptLibrary(codegen, name, *codes)
-    codegen._engine._defined_symbols |= names
-    environment = _environment(*described)
-    entry_point = target.get_executable(library, description, environment)
-    referenced = tuple(_environment(*one) for one in environments)
+    codegen._engine._defined_symbols |= kept.names
+    environment = _environment(*kept.environment)
+    entry_point = target.get_executable(library, kept.description, environment)
+    referenced = tuple(_environment(*one) for one in kept.environments)
     for one in referenced:
         codegen.set_env(one.env_name, one)
     return compile_result(
-        typing_context=target.typing_context, target_context=target, entry_point=entry_point, type_annotation=types,
-        signature=signature, objectmode=object_mode, lifted=lifted, fndesc=description, library=library,
-        environment=environment, reload_init=initialisers, referenced_envs=referenced,
+        typing_context=target.typing_context, target_context=target, entry_point=entry_point,
+        type_annotation=kept.types, signature=kept.signature, objectmode=kept.object_mode, lifted=kept.lifted,
+        fndesc=kept.description, library=library, environment=environment, reload_init=kept.initialisers,
+        referenced_envs=referenced,
     )  # fmt: skip
 
 

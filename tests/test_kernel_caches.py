@@ -108,7 +108,7 @@ from grindvision.kernels import folder, restored
 rtsys.initialize(cpu_target.target_context)
 entries = sorted(folder().glob("*.kernel"))
 for entry in entries:
-    assert restored(cpu_target.target_context, *pickle.loads(entry.read_bytes()[16:])).entry_point
+    assert restored(cpu_target.target_context, pickle.loads(entry.read_bytes()[16:])).entry_point
 assert "numba.typed.typeddict" not in sys.modules
 print(len(entries))
 """

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
-from grindvision.cli import pictures
+from grindvision.cli import own_process, pictures
 from grindvision.interrupts import ENDING, undisturbed
 from grindvision.parallel import usable_cores
 
@@ -26,7 +26,7 @@ def drawing_beside(module: str) -> Callable[..., None]:
     What is drawn goes to that process: plain numbers and words, of no class whose module loads what computes. Without
     a second core, where nobody started this process for one command, or it runs threads, this is ``drawing``.
     """
-    alone = pictures.own_process and threading.active_count() == 1
+    alone = own_process.ours and threading.active_count() == 1
     if not (alone and sys.platform == "linux" and usable_cores() > 1):
         return pictures.drawing(module)
     try:
