@@ -23,6 +23,9 @@ SAMPLE, TEST, HIGHLIGHT, GREY, LIGHT_GREY = "#56B4E9", "#E69F00", "#D55E00", "#9
 USUAL_TICKS = 8
 """An axis of such a panel has no more."""
 
+TITLE_AT = 1.0
+"""Upper end of a panel, where Matplotlib would put the title after it has measured all that is drawn there."""
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -44,7 +47,7 @@ def blank() -> Sheet:
     for axes, title in ((before, "before registration"), (after, "after registration")):
         name_colour(axes, SAMPLE, "sample")
         name_colour(axes, TEST, "test")
-        axes.set_title(title)
+        axes.set_title(title, y=TITLE_AT)
         axes.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
     for axes in (before, after, signed, path_view):
         axes.set(xlabel="along the scan's longer side, mm", ylabel="across, mm")
@@ -79,14 +82,16 @@ def _draw_difference(axes: Axes, view: View, found: Shown) -> None:
     heights = rasterised(places[known], found.signed_mm[known], everywhere.size_mm)
     colours = heights.draw(axes, heights.cells, cmap="RdBu_r", vmin=-limit, vmax=limit)
     axes.figure.colorbar(colours, ax=axes, label="above the good surface, mm", shrink=0.8)
-    axes.set_title(f"difference; seen above {found.level_of_detection_mm:.2f} mm, grey: not compared", fontsize=11)
+    axes.set_title(
+        f"difference; seen above {found.level_of_detection_mm:.2f} mm, grey: not compared", fontsize=11, y=TITLE_AT
+    )
 
 
 def _draw_path(axes: Axes, view: View, found: Shown) -> None:
     if not found.beads:
         draw_relief(axes, view(found.test), view.heights(found.test), LIGHT_GREY)
         axes.plot(*view(found.standing).T, ".", ms=2, color=TEST)
-        axes.set_title("no path" if found.pieces else "nothing to grind")
+        axes.set_title("no path" if found.pieces else "nothing to grind", y=TITLE_AT)
         return
     bead = found.beads[0]
     middle = view(bead.points).mean(axis=0)
@@ -100,4 +105,4 @@ def _draw_path(axes: Axes, view: View, found: Shown) -> None:
         axes.annotate(str(number), place, xytext=(4, 4), textcoords="offset points")
     reach = np.array([-found.reach_mm, found.reach_mm])
     axes.set(xlim=middle[0] + reach, ylim=middle[1] + reach)
-    axes.set_title("path" if len(found.beads) == 1 else f"path on the largest of {len(found.beads)} beads")
+    axes.set_title("path" if len(found.beads) == 1 else f"path on the largest of {len(found.beads)} beads", y=TITLE_AT)

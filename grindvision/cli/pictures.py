@@ -60,10 +60,15 @@ def _without_docstrings() -> Iterator[None]:
 
 
 def save_png(figure: Figure, path: Path, dpi: int = 100) -> None:
-    """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out."""
+    """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out. Nothing
+    shines through a report, so its pixels have no opacity, and what is packed lightly takes half the time."""
+    import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
 
     canvas: Any = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
+    canvas.draw()
     with write_whole(path) as temporary:
-        canvas.print_png(temporary, pil_kwargs={"compress_level": 4})
+        pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        pixels.save(temporary, dpi=(dpi, dpi), compress_level=1)
