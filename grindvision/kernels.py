@@ -17,20 +17,27 @@ import pickle
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numba
+from llvmlite import binding
 from numba.core import config
-from numba.core.caching import CompileResultCacheImpl, _Cache
+from numba.core.caching import _Cache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import compile_result
+from numba.core.environment import Environment, lookup_environment
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from grindvision.caches import PACKAGE, cache_folders, is_ours, made
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+#: Of an environment of compiled code: the name of its module, its constants, its own name.
+_Described: TypeAlias = tuple[str, Sequence[Any], str]
 
 _IMPORT = re.compile(rb"^from grindvision\.([\w.]+) import", re.MULTILINE)
 _DIGEST_BYTES = 16
@@ -68,7 +75,6 @@ class KernelCache(_Cache):
         module = function.__module__.removeprefix("grindvision.")
         self.name = f"{module}.{function.__qualname__}-{code.co_firstlineno}.{sys.implementation.cache_tag}"
         self._enabled = True
-        self._numba = CompileResultCacheImpl.__new__(CompileResultCacheImpl)  # turns code into bytes and back, no more
 
     @property
     def cache_path(self) -> str:
@@ -102,7 +108,7 @@ class KernelCache(_Cache):
                 content = (folder / name).read_bytes() if is_ours(folder) else b""
                 digest, data = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
                 if data and digest == _digest(data):
-                    found = self._numba.rebuild(target, pickle.loads(data))
+                    found = restored(target, pickle.loads(data))
                     self._tell()
                     return found
             except Exception:
@@ -117,22 +123,16 @@ class KernelCache(_Cache):
         if not self._enabled or any(not part.can_cache for part in result.lifted) or result.library.has_dynamic_globals:
             return
         name = self._entry(signature, result.codegen)
-        data = dumps(self._numba.reduce(result))
+        data = dumps(_taken_apart(result))
         for folder in _folders():
             if made(folder) and _written(folder / name, _digest(data) + data):
-                self._drop(keep=self._stamp[:12])
+                self._drop(keep=_stamp(self._source)[:12])
                 return
 
     def _entry(self, signature: Any, codegen: Any) -> str:
-        kind = (str(signature), codegen.magic_tuple(), self._function.__code__.co_code)
-        return f"{self.name}-{self._stamp[:12]}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:20]}.kernel"
-
-    @functools.cached_property
-    def _stamp(self) -> str:
-        found = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-        for source in sources_of(self._source):
-            found.update(_content(source))
-        return found.hexdigest()
+        kind = (str(signature), _processor(codegen), self._function.__code__.co_code)
+        digest = hashlib.sha256(repr(kind).encode()).hexdigest()
+        return f"{self.name}-{_stamp(self._source)[:12]}-{digest[:20]}.kernel"
 
     def _drop(self, keep: str) -> None:
         """Remove entries of this kernel, but for those of the stamp ``keep``, from the folders that let us."""
@@ -145,6 +145,93 @@ class KernelCache(_Cache):
     def _tell(self) -> None:
         if listener is not None:
             listener(self.name)
+
+
+class _KeptLibrary(JITCodeLibrary):
+    """Machine code that was kept. Its intermediate code serves the compilation of kernels that call it, and is read
+    when one is compiled: to read it at once would take half of the time in which a kernel is loaded."""
+
+    def __init__(self, codegen: Any, name: str, machine_code: bytes, intermediate_code: bytes) -> None:
+        super().__init__(codegen, name)
+        self._intermediate_code = intermediate_code
+        self.enable_object_caching()
+        self._set_compiled_object(machine_code)
+        self._finalize_final_module()
+
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None:
+            self._shared_module = binding.parse_bitcode(self._intermediate_code)
+        return self._shared_module
+
+
+class Kept(NamedTuple):
+    """A compiled kernel as it is kept: what numba's ``_reduce`` gives, and the ``names`` that its machine code defines;
+    environments are described by their module's name, their constants and their own name."""
+
+    names: set[str]
+    library: tuple[str, str, tuple[bytes, bytes]]
+    description: Any
+    environment: _Described
+    signature: Any
+    object_mode: bool
+    lifted: Any
+    types: str
+    initialisers: Any
+    environments: list[_Described]
+
+
+def _taken_apart(result: Any) -> Kept:
+    library, description, environment, signature, object_mode, lifted, types, initialisers, others = result._reduce()
+    return Kept(
+        _defined_names(result.library), library, description, _described(environment), signature, object_mode, lifted,
+        types, initialisers, [_described(one) for one in others],
+    )  # fmt: skip
+
+
+def restored(target: Any, kept: Kept) -> Any:
+    """A kept kernel made ready for a ``target``."""
+    for initialise in kept.initialisers:
+        initialise()
+    codegen = target.codegen()
+    name, _, codes = kept.library
+    library = _KeptLibrary(codegen, name, *codes)
+    codegen._engine._defined_symbols |= kept.names
+    environment = _environment(*kept.environment)
+    entry_point = target.get_executable(library, kept.description, environment)
+    referenced = tuple(_environment(*one) for one in kept.environments)
+    for one in referenced:
+        codegen.set_env(one.env_name, one)
+    return compile_result(
+        typing_context=target.typing_context, target_context=target, entry_point=entry_point,
+        type_annotation=kept.types, signature=kept.signature, objectmode=kept.object_mode, lifted=kept.lifted,
+        fndesc=kept.description, library=library, environment=environment, reload_init=kept.initialisers,
+        referenced_envs=referenced,
+    )  # fmt: skip
+
+
+def _described(environment: Any) -> _Described:
+    """The module that an environment is of, its constants and its name."""
+    return environment.globals["__name__"], list(environment.consts), environment.env_name
+
+
+def _environment(module: str, constants: Sequence[Any], name: str) -> Any:
+    """The environment of compiled code, without its module's own names, which only code that is not compiled asks for:
+    numba's way imports the module, and with it a tenth of what serves compilation."""
+    found = lookup_environment(name)
+    if found is None:
+        found = Environment({"__name__": module})
+        found.consts[:] = constants
+        found.env_name = name
+        Environment._memo[name] = found
+    return found
+
+
+def _defined_names(library: Any) -> set[str]:
+    """Names that compiled code defines, and does not look for elsewhere."""
+    module = library._get_module_for_linking()
+    return {
+        one.name for group in (module.functions, module.global_variables) for one in group if not one.is_declaration
+    }
 
 
 def folder() -> Path:
@@ -180,6 +267,21 @@ def _content(source: Path) -> bytes:
 def _folders() -> list[Path]:
     asked: str = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
     return [Path(asked) / "grindvision"] if asked else cache_folders("kernels")
+
+
+@functools.cache
+def _processor(codegen: Any) -> Any:
+    """What the machine code is made for."""
+    return codegen.magic_tuple()
+
+
+@functools.cache
+def _stamp(source: Path) -> str:
+    """Hash of what machine code of a file depends on: the file, those it imports from, Python and numba."""
+    found = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    for one in sources_of(source):
+        found.update(_content(one))
+    return found.hexdigest()
 
 
 def _digest(data: bytes) -> bytes:

@@ -5,13 +5,18 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from grindvision import DetectOptions, detect
 from grindvision.cli import main
 from grindvision.clouds import write_ply
 from grindvision.errors import AmbiguousError, DegenerateError, GrindvisionWarning, InputError
 from grindvision.geometry import inverse, move_points, rigid, rotation_about
+from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.neighbours import within_radius
 from grindvision.vision.registration.datum import in_datum
+from grindvision.vision.surface import faces
 from grindvision.vision.surface.faces import label_faces
 from grindvision.vision.surface.surfels import build_surfels
 
@@ -85,6 +90,38 @@ def test_a_scan_falls_into_its_faces_largest_first():
     assert (np.diff(counts) <= 0).all()
     areas = np.array([120 * 80 - 40 * 30 - 35 * 30, 120 * 26.8, 80 * 24.4, 1200, 1050])
     np.testing.assert_allclose(counts / counts.sum(), areas / areas.sum(), atol=0.03)
+
+
+def plain_faces(surfels):
+    """``label_faces`` in NumPy and SciPy."""
+    points, normals, size = surfels.points, surfels.normals, surfels.grid.size_mm
+    around = within_radius(build_cells(points, faces.REACH * size), points, faces.REACH * size)
+    one, other = np.repeat(np.arange(len(points)), np.diff(around.starts)), around.indices
+    step = np.abs(((points[other] - points[one]) * normals[one]).sum(axis=1))
+    alike = (normals[one] * normals[other]).sum(axis=1) > faces.COS_SMOOTH
+    flat = surfels.roughness_mm < 3 * np.median(surfels.roughness_mm) + faces.MAX_ROUGH * size
+    linked = alike & (step < faces.MAX_STEP * size) & flat[one] & flat[other]
+    links = coo_matrix((np.ones(int(linked.sum())), (one[linked], other[linked])), shape=(len(points),) * 2)
+    piece = connected_components(links, directed=False)[1]
+    counts = np.bincount(piece)
+    order = np.argsort(-counts, kind="stable")
+    rank = np.full(len(counts), -1)
+    large = counts[order] >= max(40, 0.01 * len(points))
+    rank[order[large]] = np.arange(large.sum())
+    labels = rank[piece]
+    beside = np.abs(((points[one] - points[other]) * normals[other]).sum(axis=1)) < faces.MAX_STEP * size / 2
+    beside &= (labels[one] < 0) & (labels[other] >= 0)
+    grown = labels.copy()
+    np.maximum.at(grown, one[beside], labels[other[beside]])
+    return grown
+
+
+@pytest.mark.parametrize("size_mm", [1.8, 3.0])
+def test_faces_are_those_of_the_plain_way(size_mm, rng):
+    points = scan(rng, T_SAMPLE_PART)
+    surfels = build_surfels(points + 0.1 * rng.standard_normal(points.shape), size_mm)
+    assert label_faces(surfels).max() >= 2
+    np.testing.assert_array_equal(label_faces(surfels), plain_faces(surfels))
 
 
 @pytest.mark.parametrize("offset", [0.2, 0.35, 0.5, -0.3])

@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from grindvision import __version__
-from grindvision.cli import pictures
+from grindvision.cli import own_process
 from grindvision.cli.parameters import with_parameter_file
 from grindvision.cli.streams import complain, say, shown_warnings, sound_streams
 from grindvision.errors import GrindvisionError, GrindvisionWarning, MissingExtraError, clipped, one_line
@@ -43,16 +43,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     A run that a signal ends returns 128 and the signal's number.
     """
     if arguments is None and "numpy" not in sys.modules:
-        os.environ.setdefault(
-            "OPENBLAS_NUM_THREADS", "1"
-        )  # this process is ours: no threads that one_blas_thread rests
-        sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]  # numba would import it where it is there
-        pictures.own_process = True
+        own_process.take_over()
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((word for word in words if not word.startswith("-")), "")
     with sound_streams():
         code, interrupted = _judged(name, words)
-    if arguments is None and (interrupted or pictures.own_process):
+    if arguments is None and (interrupted or own_process.ours):
         _end(code)
     return code
 
@@ -115,6 +111,7 @@ def _run(name: str, words: list[str]) -> int:
             at = words.index(name) + 1
             words = words[:at] + with_parameter_file(command, words[at:])
     options = parser.parse_args(words)
+    own_process.postpone()
     try:
         return int(module.run(options))
     except ModuleNotFoundError as error:

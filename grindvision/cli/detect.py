@@ -126,13 +126,15 @@ def run(options: argparse.Namespace) -> int:
     if options.mirrored is None and options.mirrored_only is not None:
         raise InputError("--mirrored-only says which cloud --mirrored is for; give --mirrored as well, or leave it out")
 
-    from grindvision.cli.pictures import drawing
+    from grindvision.cli.picture_process import drawing_beside
+
+    draw = drawing_beside("detect_picture")  # before all else is loaded: both take their time
+    from grindvision.cli.detect_shown import to_show
     from grindvision.clouds import write_ply
     from grindvision.files import write_text
     from grindvision.geometry import move_points, rotate_vectors
     from grindvision.vision.change.detection import STAGES, DetectOptions, detect
 
-    draw = drawing("detect_picture")
     field = read_correction(options.field_correction, options.test_viewpoint)
     T_base_scanner = scanner_pose(options)
     libraries = ("numpy", "scipy", "numba", "matplotlib")
@@ -164,7 +166,7 @@ def run(options: argparse.Namespace) -> int:
             if found.deformed is not None:
                 write_text(work.place / DEFORMATION_FILE, deformation_text(found.deformed))
         with work.stage("picture"):
-            draw(found, work.warnings, work.place / "report.png")
+            draw(to_show(found), work.warnings, work.place / "report.png")
         questions = [size_question(("SAMPLE", "TEST"), clouds)]
         questions += where_it_stood(T_base_scanner)
         values = _from_the_data(options, found)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from grindvision.caches import matplotlib_has_a_folder
+from grindvision.cli import own_process
 from grindvision.errors import GrindvisionWarning, MissingExtraError
 from grindvision.extras import extra
 from grindvision.files import write_whole
@@ -19,16 +18,21 @@ from grindvision.files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Whether this process was started for one command.
-own_process = False
+
+def loaded(module: str) -> Any:
+    """A module of this folder that draws.
+
+    Raises:
+        MissingExtraError: Matplotlib is not installed.
+    """
+    with matplotlib_has_a_folder(), _without_docstrings():
+        return import_module(f"grindvision.cli.{module}")
 
 
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
-    _postpone_glyph_names()
     try:
-        with matplotlib_has_a_folder(), _without_docstrings():
-            return import_module(f"grindvision.cli.{module}").draw
+        return loaded(module).draw
     except MissingExtraError as error:
         missing = str(error)
 
@@ -42,7 +46,7 @@ def drawing(module: str) -> Callable[..., None]:
 def _without_docstrings() -> Iterator[None]:
     """Inside the block Matplotlib is imported without the lists of properties in its docstrings, half of that time, in
     a process that runs a command and nothing else; elsewhere somebody may want to read them."""
-    if not own_process:
+    if not own_process.ours:
         yield
         return
     with extra("plot"):
@@ -55,31 +59,16 @@ def _without_docstrings() -> Iterator[None]:
         artist.kwdoc = written
 
 
-def _postpone_glyph_names() -> None:
-    """In a process that runs a command, let the names of all glyphs be read when they are asked for: Matplotlib imports
-    them, a tenth of its time, and uses them only where TeX sets the text."""
-    name = "fontTools.agl"
-    if not own_process or name in sys.modules:
-        return
-    postponed = ModuleType(name)
-
-    def read(attribute: str) -> Any:
-        if sys.modules.get(name) is postponed:
-            del sys.modules[name]
-        return getattr(import_module(name), attribute)
-
-    postponed.__getattr__ = read  # type: ignore[method-assign]
-    with suppress(ImportError):
-        import fontTools
-
-        sys.modules[name] = fontTools.agl = postponed
-
-
 def save_png(figure: Figure, path: Path, dpi: int = 100) -> None:
-    """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out."""
+    """Write a figure as PNG. It is drawn once: ``Figure.savefig`` draws all of it beforehand, to lay it out. Nothing
+    shines through a report, so its pixels have no opacity, and what is packed lightly takes half the time."""
+    import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
 
     canvas: Any = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
+    canvas.draw()
     with write_whole(path) as temporary:
-        canvas.print_png(temporary, pil_kwargs={"compress_level": 4})
+        pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        pixels.save(temporary, dpi=(dpi, dpi), compress_level=1)

@@ -58,16 +58,16 @@ def _joined_cells(
                     if table_keys[slot] != key or table_cells[slot] <= cell:
                         continue
                     other = table_cells[slot]
-                    a, b = _root(parent, cell), _root(parent, other)
+                    a, b = root_of(parent, cell), root_of(parent, other)
                     if a != b and _touch(grid, cell, other, distance):
                         parent[max(a, b)] = min(a, b)
     for cell in range(cells):
-        parent[cell] = _root(parent, cell)
+        parent[cell] = root_of(parent, cell)
     return parent
 
 
 @njit(cache=True, nogil=True)
-def _root(parent: Integers, cell: int) -> int:
+def root_of(parent: Integers, cell: int) -> int:
     """Root of a cell in the union-find forest ``parent``, halving the path on the way."""
     while parent[cell] != cell:
         parent[cell] = parent[parent[cell]]

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
@@ -64,6 +63,8 @@ def compute_fpfh(
 
 def _as_printed(simple: Floats, starts: Integers, indices: Integers, distances: Floats) -> Floats:
     """Eq 5: each point's own histogram, and the mean of its k neighbours' divided by their distance."""
+    from scipy.sparse import csr_array
+
     n = len(simple)
     others = distances > 0
     rows = np.repeat(np.arange(n), np.diff(starts))[others]
