@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -162,7 +163,7 @@ def test_the_wheel_holds_the_data_and_not_the_book(wheel):
         if file.is_file():
             assert f"grindvision/data/{file.relative_to(ROOT / 'data').as_posix()}" in names
     core = {
-        line.split()[1].split(">")[0]
+        re.split("[<>]", line.split()[1])[0]
         for line in info.splitlines()
         if line.startswith("Requires-Dist") and "extra" not in line
     }
