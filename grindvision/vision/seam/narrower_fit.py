@@ -68,7 +68,8 @@ def narrower_move(
     of the window along the seam.
 
     Where surfaces bend, a parabola over a window misses by what grows with the third power and more of both. By noise
-    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances.
+    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances; the
+    narrower one has the smaller where it is a line and the other one a parabola.
     """
     narrow = replace(scale, cell=NARROW * scale.cell)
     fitted = fit_faces(points, curve, faces, narrow)
@@ -77,8 +78,8 @@ def narrower_move(
     raw = intersections(curve, faces, fitted)[0] - meeting.displacement
     length_mm = SMOOTHED_CELLS * scale.cell
     moved = smooth_along(raw, meeting.weight, length_mm, curve.step_mm, robust=True)
-    more = (fitted.covariance[..., 0, 0] - sides.covariance[..., 0, 0]).sum(axis=0)
-    noise = np.sqrt(np.maximum(more, 0.0)) / meeting.sine
+    more = np.abs(fitted.covariance[..., 0, 0] - sides.covariance[..., 0, 0]).sum(axis=0)
+    noise = np.sqrt(more) / meeting.sine
     kept = smooth_along(np.eye(len(curve)), meeting.weight, length_mm, curve.step_mm)
     number = np.arange(len(curve)) * curve.step_mm
     alike_mm = 2 * np.sqrt(np.pi) * window_mm(narrow)
