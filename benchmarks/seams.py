@@ -46,7 +46,8 @@ WRONG_MM, TRUNCATED = 2.0, 0.6
 """A line farther off in the mean is a wrong one; one that follows less than this fraction is badly cut short."""
 SEAMLESS = ("bend", "pipe", "waves", "ball", "cone", "step-less sheet")
 COLUMNS = (
-    "scene", "seed", "true_kind", "found_kind", "mean_mm", "max_mm", "followed", "sigma_mm", "warnings", "verdict",
+    "scene", "seed", "true_kind", "found_kind", "mean_mm", "max_mm", "followed", "sigma_mm",
+    "within_1", "within_2", "warnings", "verdict",
     "cpu_s",
 )  # fmt: skip
 
@@ -150,11 +151,17 @@ def surface(kind: str) -> Scene:
     return make
 
 
-def _dense(root: Floats) -> Floats:
-    """A line (K, 3) with ten places for each, where its places lie close together."""
-    step = np.diff(root, axis=0)
-    near = np.linalg.norm(step, axis=1) < SHOWN_MM
-    return np.concatenate([root, *(root[:-1][near] + part * step[near] for part in np.linspace(0.1, 0.9, 9))])
+def off_line(places: Floats, root: Floats) -> Floats:
+    """Distances (K,) of places (K, 3) from the line through the places of a seam, which may show holes."""
+    nearest = cKDTree(root).query(places)[1]
+    off = np.linalg.norm(places - root[nearest], axis=1)
+    for other in (np.maximum(nearest - 1, 0), np.minimum(nearest + 1, len(root) - 1)):
+        step = root[other] - root[nearest]
+        length = np.linalg.norm(step, axis=1)
+        part = ((places - root[nearest]) * step).sum(axis=1) / np.maximum(length**2, 1e-9)
+        part = np.where(length < SHOWN_MM, np.clip(part, 0.0, 1.0), 0.0)
+        off = np.minimum(off, np.linalg.norm(places - root[nearest] - part[:, None] * step, axis=1))
+    return off
 
 
 def scenes() -> dict[str, Scene]:
@@ -222,19 +229,22 @@ def judged(name: str, seed: int, seen: Seen) -> dict[str, object]:
     right = False
     if seen.root is not None:
         alike = [one for one in weld.seams if one.kind == seam.kind]  # a clamp makes two of one
-        off = cKDTree(_dense(seen.root)).query(np.concatenate([_between_ends(one) for one in alike]))[0]
+        inner = [_between_ends(one) for one in alike]
+        off = off_line(np.concatenate([one.root[here] for one, here in zip(alike, inner, strict=True)]), seen.root)
+        stated = np.concatenate([one.sigma_mm[here] for one, here in zip(alike, inner, strict=True)])
         near = cKDTree(np.concatenate([one.root for one in alike])).query(seen.root)[0]
         followed = float((near < 2 * WRONG_MM).mean())
         row |= {"mean_mm": round(off.mean(), 3), "max_mm": round(off.max(), 3), "followed": round(followed, 3)}
+        row |= {f"within_{k}": round(float((off <= k * stated).mean()), 3) for k in (1, 2)}
         right = seam.kind == seen.kind and off.mean() < WRONG_MM and followed > TRUNCATED
     return row | {"verdict": "right" if right else "wrong, warned" if said else "SILENTLY WRONG"}
 
 
-def _between_ends(seam: Seam) -> Floats:
-    """The root of a seam less its ends."""
+def _between_ends(seam: Seam) -> NDArray[np.bool_]:
+    """The stations (S,) of a seam less its ends."""
     if seam.closed:
-        return seam.root
-    return seam.root[cKDTree(seam.root[[0, -1]]).query(seam.root)[0] > END_MM]
+        return np.ones(len(seam.root), dtype=bool)
+    return np.asarray(cKDTree(seam.root[[0, -1]]).query(seam.root)[0] > END_MM)
 
 
 def run(path: Path, pattern: str, views: range) -> None:
@@ -257,12 +267,19 @@ def run(path: Path, pattern: str, views: range) -> None:
 
 
 def table(path: Path) -> None:
-    """Print, scene by scene, how often it was right, refused, wrong with a warning and silently wrong."""
+    """Print, scene by scene, how often it was right, refused, wrong with a warning and silently wrong, and which share
+    of the right lines lies within one and two stated sigmas."""
     import pandas as pd
 
     rows = pd.read_csv(path, keep_default_na=False)
     print(pd.crosstab(rows["scene"], rows["verdict"]).to_string())
     print(rows["verdict"].value_counts().to_string())
+    held = rows[(rows["verdict"] == "right") & (rows["true_kind"] != "no seam")]
+    shares = held[["mean_mm", "max_mm", "sigma_mm", "within_1", "within_2"]].apply(pd.to_numeric)
+    print(shares.groupby(held["scene"]).mean().round(3).to_string())
+    print(
+        f"of all: {shares['within_1'].mean():.1%} within one stated sigma, {shares['within_2'].mean():.1%} within two"
+    )
 
 
 def main(words: list[str] | None = None) -> int:

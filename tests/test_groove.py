@@ -202,6 +202,16 @@ def test_flat_root_does_not_widen_the_groove(rng):
     assert np.median(groove.depth_mm) == pytest.approx(5, abs=0.3)
 
 
+def test_the_line_of_a_blunt_groove_does_not_care_which_wall_more_points_show(rng):
+    places = grid()
+    heights = -5 * np.clip((6 - np.abs(places[:, 1])) / 2.5, 0, 1)
+    points = cloud(places, heights, rng)
+    on_wall = (places[:, 1] > 3.5) & (places[:, 1] < 6)
+    more = np.concatenate([points, *(points[on_wall] + rng.normal(0, 0.05, (on_wall.sum(), 3)) for _ in range(3))])
+    before, after = (find_grooves(one).grooves[0].root for one in (points, more))
+    assert abs(np.median(after[:, 1]) - np.median(before[:, 1])) < 0.1
+
+
 def test_groove_partly_outside_says_which_share_has_both_sides(rng):
     points, _ = straight_groove(rng)
     kept = grid()[:, 1] < 4

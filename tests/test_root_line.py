@@ -6,9 +6,11 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from grindvision.vision.seam.face_fit import _steadily_bent
+from grindvision.vision.seam.narrower_fit import NARROW, NarrowerMove
 from grindvision.vision.seam.root_line import root_line
 from grindvision.vision.seam.seam_curve import build_curve, nearest_stations
 from grindvision.vision.seam.seam_polynomial import fit_polynomial
+from grindvision.vision.seam.seam_smoothing import smooth_to_noise
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from tests.seam_scenes import plate
 
@@ -56,6 +58,29 @@ def test_without_noise_a_line_follows_its_arc_however_far_it_turns(turn_rad):
     curve = arc(turn_rad, 180)
     line = root_line(curve, np.zeros((180, 2)), np.ones(180), np.full(180, 0.01), 2.4)
     assert np.abs(np.linalg.norm(line.places, axis=1) - 40).max() < 0.05
+
+
+def test_noise_that_is_alike_over_a_gap_is_not_followed():
+    """Gaps as long as noise is alike predict it from their sides; of longer ones the smooth line is left."""
+    window, errors = 2.7, {}
+    for gap in (11, 20):
+        lines = [
+            smooth_to_noise(windowed(np.random.default_rng(seed), 200, window), np.ones(200), 1.0, 2.5, gap)[0]
+            for seed in range(20)
+        ]
+        errors[gap] = np.sqrt(np.mean(np.square(lines)))
+    assert errors[20] < 0.75 * errors[11]
+
+
+@pytest.mark.parametrize(("moved_mm", "share"), [(0.05, 0.0), (1.0, 0.98)])
+def test_a_move_that_noise_explains_is_none(moved_mm, share):
+    move = NarrowerMove(np.tile([0.0, moved_mm], (5, 1)), np.full(5, 0.1))
+    np.testing.assert_allclose(move.share, share, atol=1e-9)
+    np.testing.assert_allclose(move.missed[:, 1], share * moved_mm, atol=1e-9)
+    # A miss that grows with the third or the fourth power of the width leaves this much after the move.
+    for power in (3, 4):
+        left = NARROW**power / (1 - NARROW**power) * move.missed[:, 1]
+        assert (left <= 1.5 * move.sigma).all() and (move.sigma <= 2 * left + 0.1).all()
 
 
 def test_a_degree_is_told_from_noise_and_no_higher_one_taken(rng):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from grindvision.vision.seam.seam_smoothing import GAP, JUDGED, OUTLIER, PERIOD, smooth_along, smooth_to_noise
+from grindvision.vision.seam.seam_smoothing import GAP, JUDGED, KEPT, OUTLIER, smooth_along, smooth_to_noise
 
 STEP_MM = 0.7
 ALONG_MM = STEP_MM * np.arange(300)
@@ -38,8 +38,9 @@ def test_the_stiffness_is_that_of_the_plain_cross_validation(rng):
     weights[40:50] = 0
     lengths = STEP_MM / 2 * np.sqrt(2) ** np.arange(17)
     missed, place = np.empty((17, 90)), np.arange(90)
-    for turn in range(PERIOD // JUDGED):
-        in_period = (place + turn * JUDGED) % PERIOD
+    period = GAP + KEPT
+    for turn in range(period // JUDGED):
+        in_period = (place + turn * JUDGED) % period
         judged = np.abs(in_period - GAP // 2) <= JUDGED // 2
         kept = np.where(in_period < GAP, 0, weights)
         for trial, length in enumerate(lengths):

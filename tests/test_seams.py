@@ -2,13 +2,25 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from grindvision.errors import InputError, NoGrooveError
 from grindvision.vision.seam.joint_names import FAMILIES, KINDS, kinds_of
 from grindvision.vision.seam.seam_path import root_path
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from tests.groove_scenes import straight_groove
-from tests.seam_scenes import box_corner, butt, corner, outside, step, tube_all_round, tube_on_plate, turned
+from tests.seam_scenes import (
+    box_corner,
+    butt,
+    corner,
+    noisy,
+    outside,
+    plate,
+    step,
+    tube_all_round,
+    tube_on_plate,
+    turned,
+)
 
 #: From where the scenes are seen: over the base, in front of the wall.
 EYE = np.array([20.0, -220.0, 320.0])
@@ -59,6 +71,54 @@ def test_a_narrow_gap_is_a_butt_joint(hi_lo_mm):
     assert np.median(seam.step_mm) == pytest.approx(hi_lo_mm, abs=0.1)
     # Plates end up to a spacing before their edge: the middle is known to half of that.
     assert np.abs(seam.root[:, 1]).mean() < 0.6
+
+
+def test_a_few_mixed_pixels_in_a_gap_make_no_groove_of_it(rng):
+    """One of three points half-way down is no wall; most of many are."""
+    points = butt(rng, 2.0, spacing=0.45)
+    points = points[points[:, 2] > -20]
+    stray = np.column_stack([[-20.0, 5.0, 30.0], [0.0, 0.2, -0.1], [-1.5, -3.0, -3.2]])
+    (seam,) = find_seams(np.concatenate([points, stray]), FindSeamsOptions([0, 0, 400])).seams
+    assert seam.kind == "butt-gap" and np.median(seam.gap_mm) == pytest.approx(2.0, abs=0.4)
+
+
+def test_the_stated_sigma_of_a_gap_holds_errors_that_pixels_share():
+    """Two plates whose heights err alike over some pixels, in rows along the gap that end anywhere before its edges."""
+    inside, within = [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        first, last = rng.uniform(0.0, 0.5, 2)
+        sides = [
+            plate((-60.0, 60.0), (-30.0 - last, -1.0), spacing=0.5),
+            plate((-60.0, 60.0), (1.0 + first, 30.0), spacing=0.5),
+        ]
+        points = np.concatenate(sides)
+        cells = np.round((points[:, :2] - points[:, :2].min(axis=0)) / 0.5).astype(int)
+        errors = gaussian_filter(rng.standard_normal(cells.max(axis=0) + 1), 2.5) * np.sqrt(4 * np.pi) * 2.5
+        points[:, 2] += 0.2 * errors[cells[:, 0], cells[:, 1]]
+        (seam,) = find_seams(points, FindSeamsOptions([0, 0, 400], "butt")).seams
+        off = np.linalg.norm(seam.root[:, 1:], axis=1)
+        inside.append((off < seam.sigma_mm).mean())
+        within.append((off < 2 * seam.sigma_mm).mean())
+    assert np.mean(inside) > 0.45 and np.mean(within) > 0.8
+
+
+@pytest.mark.parametrize(("wide_mm", "rib"), [(22.0, True), (60.0, False)])
+def test_a_rib_that_stands_on_a_plate_is_not_surely_a_lap(wide_mm, rib):
+    """The plate is seen to go on behind both; what is as narrow as a rib may stand on it, what is wide lies on it."""
+    rng, high = np.random.default_rng(8), 8.0
+    parts = [
+        plate((-45.0, 45.0), (-50.0, 0.0), spacing=0.5),
+        plate((-45.0, 45.0), (0.0, high), second=(0.0, 0.0, 1.0), spacing=0.5),
+        plate((-45.0, 45.0), (0.0, wide_mm), origin=(0.0, 0.0, high), spacing=0.5),
+        plate((-45.0, 45.0), (wide_mm + high, wide_mm + 50.0), spacing=0.5),
+    ]
+    seams = find_seams(noisy(np.concatenate(parts), rng, 0.05), FindSeamsOptions([0, -300, 300], "fillet")).seams
+    (seam,) = (seam for seam in seams if np.abs(seam.root[:, 1]).max() < 1)
+    if rib:
+        assert seam.kind == "t-joint" or any("undecided between lap-joint and t-joint" in one for one in seam.doubts)
+    else:
+        assert seam.kind == "lap-joint" and not seam.doubts
 
 
 def test_a_gap_that_the_spacing_hides_is_refused_with_the_spacing_it_takes():

@@ -16,7 +16,7 @@ from grindvision.geometry import unit_vectors
 from grindvision.records import by_content
 from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
 from grindvision.vision.seam.seam_polynomial import fit_polynomial
-from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along
+from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -39,8 +39,6 @@ MAX_BEND_DEGREE, MAX_VARIANCES = 4, 25.0
 MAX_ROUNDING = 0.45
 #: Faces are fitted up to so many cells from the seam.
 FAR_CELLS = 4.5
-#: What a fit over too much of a bent surface misses shows when it is fitted over this part of it.
-NARROW = 0.75
 
 
 @dataclass(frozen=True)
@@ -204,22 +202,6 @@ def intersections(curve: SeamCurve, faces: Faces, sides: FaceFit) -> tuple[Float
         )
     a = np.einsum("ksi,si->ks", outward, displacement)
     return displacement, sides.coefficients[..., 1] + 2 * sides.coefficients[..., 2] * a
-
-
-def narrower_meeting(
-    points: Floats, curve: SeamCurve, faces: Faces, displacement: Floats, weight: Floats, scale: Scale
-) -> Floats:
-    """How far (S, 2), across and up, the faces' meeting moves from ``displacement`` where they are fitted to ``NARROW``
-    of their width and of the window along the seam, smoothed with weights (S,).
-
-    Where surfaces bend, a parabola over a window misses by what grows with the square of both: the move is about half
-    of the miss.
-    """
-    fitted = fit_faces(points, curve, faces, replace(scale, cell=NARROW * scale.cell))
-    if fitted is None:
-        return np.zeros_like(displacement)
-    moved = intersections(curve, faces, fitted)[0] - displacement
-    return smooth_along(moved, weight, 2 * scale.cell, curve.step_mm, robust=True)
 
 
 def unseen_bend(sides: FaceFit, window: float) -> Floats:

@@ -12,6 +12,7 @@ from grindvision.geometry import vector_angle
 from grindvision.vision.seam.face_fit import FAR_CELLS
 from grindvision.vision.seam.joint_fit import JointFit
 from grindvision.vision.seam.joint_names import INSIDE, SADDLE, T_JOINT, TUBE_ON_PLATE
+from grindvision.vision.seam.step_fit import EdgeFit
 from grindvision.vision.surface.surfels import Surfels
 
 Floats = NDArray[np.float64]
@@ -38,6 +39,9 @@ BULGE_FRACTION = 0.95
 PARALLEL_RAD = np.radians(12.0)
 #: A face that ends within this behind the other one is a corner's, if so much of that stretch is seen to be empty.
 BEHIND_MM, MIN_EMPTY = 60.0, 0.3
+#: A plate that lies on another is so many times as wide as its edge is high; where the other is seen to go on behind
+#: it, what is not so many times as wide is a bar or a rib that stands on it.
+PLATE_LEGS, BAR_LEGS = 2.5, 4.0
 #: So many surfels are a surface.
 MIN_SURFELS = 8
 #: A bent face that turns by less than this is a tube or a warped plate: plates of 180 mm warped by 2 mm turn by 22
@@ -138,7 +142,8 @@ def surroundings(fit: JointFit, surfels: Surfels, normals: Floats, towards: Floa
         goes_on.append(bool((behind & like & (np.abs(height) < tolerance)).sum() >= MIN_SURFELS))
         leg = float(np.median(fit.legs_mm[1 - side, fit.shown]))
         above = behind & like & (np.abs(height - leg) < tolerance + 0.25 * leg + 0.5 * size) & (height > 2 * tolerance)
-        wide = outward[above].size >= MIN_SURFELS and np.percentile(-outward[above], 90) > 2.5 * leg
+        least = (BAR_LEGS if goes_on[side] else PLATE_LEGS) * leg
+        wide = outward[above].size >= MIN_SURFELS and np.percentile(-outward[above], 90) > least
         parallel.append(bool(wide))
     ends = [towards is not None and _ends_there(fit, surfels, side, towards) for side in range(2)]
     return Surroundings((goes_on[0], goes_on[1]), (parallel[0], parallel[1]), (ends[0], ends[1]))
@@ -160,7 +165,26 @@ def _ends_there(fit: JointFit, surfels: Surfels, side: int, towards: Floats) -> 
     return bool(empty.mean() > MIN_EMPTY)
 
 
-def _near(fit: JointFit, surfels: Surfels, reach: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
+def bar_width_mm(step: EdgeFit, surfels: Surfels, normals: Floats) -> float | None:
+    """Width of what ends above a step, where it is that of a bar or a rib and the lower surface is seen to go on behind
+    it; else None."""
+    station, offset, near = _near(step, surfels, np.inf)
+    size, high = surfels.grid.size_mm, float(np.median(step.step_mm[step.shown]))
+    behind = -(offset * step.way[station]).sum(axis=1)
+    height = (offset * step.normals[1, station]).sum(axis=1)
+    like = vector_angle(normals[near], step.normals[1, station]) < PARALLEL_RAD
+    tolerance = 3 * float(np.median(surfels.noise_mm)) + 0.02 * np.abs(behind) + 0.05 * size
+    above = like & (behind > 0) & (np.abs(height - high) < tolerance + 0.25 * high)
+    below = like & (behind > 1.5 * size) & (np.abs(height) < tolerance)
+    if min(above.sum(), below.sum()) < MIN_SURFELS:
+        return None
+    width = float(np.percentile(behind[above], 95))
+    return width if width < BAR_LEGS * high else None
+
+
+def _near(
+    fit: JointFit | EdgeFit, surfels: Surfels, reach: float
+) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
     """Nearest station and offset of the surfels beside the seam, and their numbers."""
     away, station = cKDTree(fit.root).query(surfels.points)
     offset = surfels.points - fit.root[station]

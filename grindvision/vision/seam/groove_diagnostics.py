@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.seam_curve import around
+from grindvision.vision.seam.seam_curve import around, beside_stations
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
 
 Floats = NDArray[np.float64]
@@ -160,15 +160,16 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
     reach = 1.2 * PROFILE_BINS[-1] * half
     points = cloud[_scattered(len(cloud), 3 * CLOUD_POINTS)]
     points = points[around(points, groove.root, reach)]
-    points = points[_scattered(len(points), CLOUD_POINTS)]
-    away, station = cKDTree(groove.root).query(points, distance_upper_bound=reach)
-    near = np.flatnonzero(np.isfinite(away))
-    near = near[_scattered(len(near), PROFILE_POINTS)]
-    station, offset = station[near], points[near] - groove.root[station[near]]
     along = unit_vectors(np.gradient(groove.root, axis=0))
     across = unit_vectors(np.cross(groove.normals, along))
-    beside = np.abs((offset * along[station]).sum(axis=1)) < groove.step_mm
-    station, offset = station[beside], offset[beside]
+    for enough in (2 * PROFILE_POINTS, CLOUD_POINTS):
+        some = points[_scattered(len(points), enough)]
+        near, station, _ = beside_stations(some, groove.root, along, reach, groove.step_mm)
+        if len(near) >= PROFILE_POINTS:
+            break
+    kept = _scattered(len(near), PROFILE_POINTS)
+    near, station = near[kept], station[kept]
+    offset = some[near] - groove.root[station]
     place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
     found: list[Edge] = []
     for edge in (groove.left, groove.right):

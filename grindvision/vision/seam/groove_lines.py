@@ -60,8 +60,8 @@ class DetectedGroove:
     line where the walls meet (of a blunt groove the depth-weighted middle), ``left`` and ``right`` the edges, and unit
     ``normals`` of the surface around, all (S, 3).
     ``width_mm`` and ``depth_mm`` (S,) are measured across and along the normals, ``root_deviation_mm`` (S,) is the
-    standard deviation of the root across the seam. ``edges_seen`` is the fraction of stations with surface on both
-    sides.
+    standard deviation of the root's distance, to the side and in height. ``edges_seen`` is the fraction of stations
+    with surface on both sides.
     ``ends_mm`` is how far its points show it beyond its first and its last station, both together.
     A ``closed`` groove is a ring: its last station is followed by its first. ``floor_fraction`` is how much of the
     width a flat or rounded root takes.
@@ -166,7 +166,7 @@ def groove_lines(fitted: FittedSections, T_field_cloud: Floats, spacing_mm: floa
         rotate_vectors(T_cloud_field, normals / np.linalg.norm(normals, axis=1, keepdims=True))[:turns],
         (smooth[:, RIGHT] - smooth[:, LEFT])[first:last][:turns],
         smooth[first:last, DEPTH][:turns],
-        theta.deviation[first:last, ROOT][:turns],
+        _root_deviations(theta.deviation[first:last])[:turns],
         step,
         _both_sides_fraction(sections, smooth, first, last),
         ends_mm,
@@ -191,6 +191,13 @@ def _oblique_ends(place: Floats, between: Flags, fits: Flags, run: tuple[int, in
                 break
             beyond |= here & fits
     return beyond
+
+
+def _root_deviations(deviation: Floats) -> Floats:
+    """Standard deviations (S,) of the root's distance, from those of the sections' parameters (S, 7): to the side, and
+    in height, which is the surface's level less the depth."""
+    height = deviation[:, DEPTH] ** 2 - deviation[:, LEVEL] ** 2
+    return np.sqrt(deviation[:, ROOT] ** 2 + np.maximum(height, 0.0))
 
 
 def _floor_fraction(corners: Corners, width: float) -> float:
@@ -269,20 +276,22 @@ def _smooth_lines(
 
 
 def _depth_centres(sections: Sections, theta: Floats, corners: Corners, first: int, last: int) -> Floats:
-    """Depth-weighted centre (S,) across the seam of the points between the edges: the line of a blunt groove.
+    """Depth-weighted centre (S,) across the seam of the groove between the edges: the line of a blunt groove.
 
-    Where a section shows fewer points than sections usually do at that place, beyond the part's outline or in a
-    shadow, the fitted section stands in: a wall that is not seen must not leave the centre to the other.
+    All places across count alike, however many points show them: a wall that faces the camera shows the more. Where a
+    section shows fewer points than sections usually do at that place, beyond the part's outline or in a shadow, the
+    fitted section stands in: a wall that is not seen must not leave the centre to the other.
     """
     count = sections.weight.shape[1]
     across = np.broadcast_to((np.arange(count) - count // 2) * sections.bin_mm, sections.weight.shape)
-    missing = np.maximum(np.median(sections.weight[first:last], axis=0) - sections.weight, 0)
+    missing = np.maximum(np.median(sections.weight[first:last], axis=0) - sections.weight, 1e-9)
     moment, total = np.zeros(len(theta)), np.full(len(theta), 1e-9)
     shown = (sections.weight, sections.across, sections.up)
     for weight, place, up in (shown, (missing, across, profile_height(across, theta, corners))):
         inside = (place > theta[:, LEFT, None]) & (place < theta[:, RIGHT, None])
         surface = theta[:, LEVEL, None] + theta[:, TILT, None] * place
-        depth = weight * np.where(inside, np.maximum(surface - up, 0), 0)
+        part = weight / (sections.weight + missing)
+        depth = part * np.where(inside, np.maximum(surface - up, 0), 0)
         moment, total = moment + (depth * place).sum(axis=1), total + depth.sum(axis=1)
     return moment / total
 

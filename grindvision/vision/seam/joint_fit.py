@@ -22,7 +22,6 @@ from grindvision.vision.seam.face_fit import (
     faces_beside,
     fit_faces,
     intersections,
-    narrower_meeting,
     root_normals,
     unseen_bend,
     window_mm,
@@ -36,6 +35,7 @@ from grindvision.vision.seam.joint_extent import (
     rounding_mm,
     sharpness,
 )
+from grindvision.vision.seam.narrower_fit import Meeting, narrower_move
 from grindvision.vision.seam.ring_line import RING_CELLS, is_ring, joined_smoothly, one_round, overlap, wrapped
 from grindvision.vision.seam.root_line import root_line, smooth_root
 from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
@@ -82,9 +82,10 @@ class JointFit:
     seam with its standard deviation, ``members`` (K,) the points on them, ``sharpness`` the fraction of the turn that
     is there close to the root already: 1 for two faces, less for a surface that bends. ``facing`` (S,) is the cosine of
     the angle at which the flatter seen face is seen, see ``facing``; ``missed_mm`` (S,) what faces fitted to less of
-    themselves moved the root by, which is done: see ``narrower_meeting``; ``swayed_mm`` (S,) is the same for faces
-    fitted right up to the root, which take in the rounding of a corner, and whose is ``bend_per_mm``;
-    ``unseen_mm`` (S,) is what bends that do not show would move the root by, which is not done: see ``unseen_bend``.
+    themselves move the root by, which is done as far as it is no noise: see ``narrower_move``; ``swayed_mm`` (S,) is
+    the same for faces fitted right up to the root, which take in the rounding of a corner, and whose is
+    ``bend_per_mm``; ``unseen_mm`` (S,) is what bends still move the root by: those that do not show, see
+    ``unseen_bend``, and what is left of those that do.
     """
 
     curve: SeamCurve
@@ -263,14 +264,16 @@ def _result(
     weight, level, turns = _levels(faces, sides, slopes, shown)
     window = window_mm(scale) / curve.step_mm
     line = root_line(curve, displacement, weight, level, window)
-    dihedral_sigma = np.sqrt(sides.covariance[..., 1, 1].sum(axis=0))
-    bent = narrower_meeting(points, curve, faces, displacement, weight, scale)
+    sine = np.maximum(np.sin(turns), MIN_SINE)
+    bent = narrower_move(points, curve, faces, sides, Meeting(displacement, weight, sine), scale)
+    bent = replace(bent, noise=line.scatter * bent.noise)
     near, swayed = sides, bent
     if scale.rounding > 0:
         whole = replace(scale, rounding=0.0)
         near = fit_faces(points, curve, faces, whole) or sides
-        swayed = narrower_meeting(points, curve, faces, intersections(curve, faces, near)[0], weight, whole)
-    root = line.places + bent[:, :1] * curve.across + bent[:, 1:] * curve.up
+        meeting = Meeting(intersections(curve, faces, near)[0], weight, sine)
+        swayed = narrower_move(points, curve, faces, near, meeting, whole)
+    root = line.places + bent.missed[:, :1] * curve.across + bent.missed[:, 1:] * curve.up
     turn = smooth_along(turns, np.where(shown, 1.0, 1e-6), 2 * scale.cell, curve.step_mm, robust=True)
     even = np.where(shown, 1.0, 1e-6)
     out = unit_vectors(np.stack([smooth_along(normals[k], even, 2 * scale.cell, curve.step_mm) for k in (0, 1)]))
@@ -279,13 +282,13 @@ def _result(
     legs = leg_lengths(points, moved, turned, sides, scale)
     sharp_fraction = sharpness(points, curve, faces, float(np.median(turn[shown])), scale)
     sigma = np.maximum(np.sqrt(2.0) * line.scatter * line.sigma * level, 0.02 * scale.spacing)  # in both directions
-    unseen = np.linalg.norm(unseen_bend(sides, window), axis=0) / np.maximum(np.sin(turns), MIN_SINE)
+    unseen = np.hypot(np.linalg.norm(unseen_bend(sides, window), axis=0) / sine, bent.sigma)
     result = JointFit(
-        moved, root, sigma, unit_vectors(out[0] + out[1]), turned,
-        turn, line.scatter * dihedral_sigma, legs, shown, sides.noise, 2 * np.median(near.coefficients[..., 2], axis=1),
-        2 * near.bend_sigma,
+        moved, root, sigma, unit_vectors(out[0] + out[1]), turned, turn,
+        line.scatter * np.sqrt(sides.covariance[..., 1, 1].sum(axis=0)), legs, shown, sides.noise,
+        2 * np.median(near.coefficients[..., 2], axis=1), 2 * near.bend_sigma,
         np.unique(np.concatenate(sides.inside)), sharp_fraction, facing(root, out, sides, towards),
-        np.linalg.norm(bent, axis=1), np.linalg.norm(swayed, axis=1), unseen, closed,
+        np.linalg.norm(bent.moved, axis=1), np.linalg.norm(swayed.moved, axis=1), unseen, closed,
     )  # fmt: skip
     return _unwrapped(result, scale) if closed else result
 

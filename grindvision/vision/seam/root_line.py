@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from grindvision.geometry import unit_vectors, vector_angle
 from grindvision.records import by_content
 from grindvision.vision.seam.seam_curve import SeamCurve
 from grindvision.vision.seam.seam_polynomial import fit_polynomial
-from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, TUKEY, smooth_along, smooth_to_noise
+from grindvision.vision.seam.seam_smoothing import GAP, MAD_TO_STD, TUKEY, smooth_along, smooth_to_noise
 
 Floats = NDArray[np.float64]
 
@@ -25,8 +26,13 @@ Floats = NDArray[np.float64]
 MAX_DEGREE, DEGREES_PER_TURN = 5, 8
 #: A line that bends more than its polynomial predicts its own gaps better by so many standard errors.
 SURE = 2.5
+#: At most one in so many stations is left out together when lines are judged by how they bridge gaps.
+GAP_FRACTION = 4
 #: At least this part of the stations' variance is taken to be left beside a line, however closely it follows them.
 LEAST_LEFT = 0.02
+#: A deviation told by the median of absolute values is as uncertain as the usual one of so many times as many; at least
+#: so many are always counted.
+MAD_EFFICIENCY, LEAST_FREE = 0.37, 3.0
 
 
 @by_content
@@ -74,16 +80,23 @@ def root_line(curve: SeamCurve, displacement: Floats, weight: Floats, level: Flo
     number = np.arange(len(curve))
     shared = np.exp(-np.pi * (np.subtract.outer(number, number) / alike) ** 2)
     rest = np.eye(len(curve)) - projection
-    variance, squares, promised = np.zeros(len(curve)), [], []
+    variance, squares, promised, free = np.zeros(len(curve)), [], [], 0.0
     for k, length_mm in enumerate(lengths):
         left = rest - smooth_along(rest, weight / weight.max(), length_mm, curve.step_mm)
         kept = np.eye(len(curve)) - left
         variance += np.einsum("ij,ij->i", kept @ shared, kept) / 2
         promised.append(max(float(np.median(np.einsum("ij,ij->i", left @ shared, left)[shown])), LEAST_LEFT))
         squares.append((MAD_TO_STD * np.median(np.abs(beside[shown, k]))) ** 2)
+        free += MAD_EFFICIENCY * max(float(shown.sum() / alike - np.trace(kept)), 0.0)
     # A direction in which the line follows every station says nothing of their scatter.
-    scatter = max(1.0, float(np.sqrt(np.sum(squares) / np.sum(promised))))
+    scatter = max(1.0, float(np.sqrt(np.sum(squares) / np.sum(promised))) * _student(free))
     return RootLine(smoothed.line, np.sqrt(np.clip(variance, 0.0, 1.0)), scatter)
+
+
+def _student(free: float) -> float:
+    """By how much more than a normal distribution's Student's 95 % reach, of a deviation that is known by so many
+    independent values."""
+    return float(stdtrit(max(free, LEAST_FREE), 0.975) / ndtri(0.975))
 
 
 def _smoothed(curve: SeamCurve, displacement: Floats, weight: Floats, window: float) -> _Smoothed:
@@ -94,9 +107,10 @@ def _smoothed(curve: SeamCurve, displacement: Floats, weight: Floats, window: fl
     polynomial = fit_polynomial(places, weight, alike, (1, most, most))
     line, *ways = _frame(curve, polynomial.line)
     lengths, beside = [], []
+    gap = max(GAP, min(int(np.ceil(2 * alike)), len(curve) // GAP_FRACTION))
     for way in ways:
         values = ((places - line) * way).sum(axis=1)
-        smooth, length_mm = smooth_to_noise(values, weight, curve.step_mm, SURE)
+        smooth, length_mm = smooth_to_noise(values, weight, curve.step_mm, SURE, gap)
         line = line + smooth[:, None] * way
         lengths.append(length_mm)
         beside.append(values - smooth)

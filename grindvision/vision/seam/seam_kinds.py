@@ -41,7 +41,8 @@ MIN_SHARPNESS, MIN_ROUNDED_RAD = 0.85, np.radians(38.0)
 MIN_COARSE_RAD = np.radians(28.0)
 #: One surface bends where next to nothing of the turn is there close to the root, and a face bends the same way by so
 #: much, rad, over a cell, or only coarse cells show a turn. A bead hides the corner too, but the faces beside it are
-#: flat, which finer cells show, and those of tubes bend away.
+#: flat, which finer cells show, and those of tubes bend away. Where only coarse cells show a turn that is rounded and
+#: both faces bend into it, they are one sheet.
 MIN_COARSE_SHARPNESS = 0.2
 MIN_ANY_SHARPNESS, ONE_BEND_RAD = 0.35, 0.06
 #: The root is known within this fraction of a cell, a quarter in each direction across the seam, and the faces scatter
@@ -64,7 +65,7 @@ MAX_HI_LO_MM, MAX_BUTT_DIHEDRAL_RAD, MAX_FALL_RAD = 4.0, np.radians(10.0), np.ra
 MAX_EDGE_SIGMA_SPACINGS = 0.5
 #: Cameras put the edge of a nearer body some pixels off, alike all along it: standard deviations in spacings where the
 #: wall below the edge is seen and where it is not.
-EDGE_BIAS_SPACINGS = 0.35, 0.7
+EDGE_BIAS_SPACINGS = 0.2, 0.7
 #: A gap of so many spacings, as wide as a groove must be, shows less than this fraction of its points on walls. Those
 #: of a V hold 60 %.
 GROOVE_SPACINGS, MAX_ON_WALLS = 4.0, 0.3
@@ -95,6 +96,9 @@ def plausible(fit: JointFit, scale: Scale, concave: bool, coarse: bool) -> bool:
         return False
     bend = float(fit.bend_per_mm.max() if concave else -fit.bend_per_mm.min()) * scale.cell
     if fit.sharpness < (MIN_ANY_SHARPNESS if bend > ONE_BEND_RAD else MIN_COARSE_SHARPNESS if coarse else 0.0):
+        return False
+    one_sheet = concave and coarse and fit.bend_per_mm.min() * scale.cell > ONE_BEND_RAD
+    if one_sheet and fit.sharpness < MIN_SHARP:
         return False
     if fit.length_mm < 5 * scale.cell or np.median(fit.sigma_mm[shown]) > MAX_SIGMA_CELLS * scale.cell:
         return False
@@ -138,7 +142,7 @@ def corner_seam(fit: JointFit, surfels: Surfels, normals: Floats, concave: bool,
         kind,
         evidence,
         fit.root,
-        np.linalg.norm([fit.sigma_mm, fit.missed_mm, fit.unseen_mm], axis=0),
+        np.hypot(fit.sigma_mm, fit.unseen_mm),
         fit.normals,
         fit.faces.normal,
         opening,
@@ -190,6 +194,14 @@ def cut_short(missed_mm: float, fit: JointFit) -> tuple[str, ...]:
     )
 
 
+def may_be_rib(width_mm: float) -> str:
+    """What to say of a step down from something narrow to a surface that goes on behind it."""
+    return (
+        f"is undecided between {LAP} and {T_JOINT}: what ends above it is {width_mm:.0f} mm wide only, and the lower"
+        " surface goes on behind it, as behind a rib; the line to weld is the same"
+    )
+
+
 def _concave_kind(
     fit: JointFit, shapes: tuple[FaceShape, FaceShape], scene: tuple[Surfels, Floats, Floats | None], angle: str
 ) -> tuple[str, str]:
@@ -224,7 +236,7 @@ def named_edges(fit: EdgeFit, scale: Scale, gap: bool) -> Seam | None:
     turn = float(np.median(vector_angle(fit.normals[0], fit.normals[1])[shown]))
     if fit.length_mm < 5 * scale.cell or turn > MAX_BUTT_DIHEDRAL_RAD or fit.fall_rad > MAX_FALL_RAD:
         return None
-    if np.median(fit.sigma_mm[shown]) > MAX_EDGE_SIGMA_SPACINGS * scale.spacing:
+    if fit.edge_sigma_mm > MAX_EDGE_SIGMA_SPACINGS * scale.spacing:
         return None
     if fit.noise_mm > 2.5 * scale.noise + 0.08 * scale.cell:
         return None

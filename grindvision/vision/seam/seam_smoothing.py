@@ -13,8 +13,9 @@ from grindvision.kernels import njit
 
 Floats = NDArray[np.float64]
 
-#: Cross-validation leaves out ``GAP`` stations of every ``PERIOD`` and judges the middle ``JUDGED`` of each gap.
-GAP, PERIOD, JUDGED = 11, 18, 3
+#: Cross-validation leaves out ``GAP`` stations, or more, keeps ``KEPT``, or more in proportion, before the next gap and
+#: judges the middle ``JUDGED`` of each gap.
+GAP, KEPT, JUDGED = 11, 7, 3
 #: Lengths tried per doubling, from half a step up to the whole seam and more.
 LENGTHS_PER_DOUBLING = 2
 #: A prediction is off by at most so many times the median of the best curve's; more counts as that.
@@ -51,10 +52,12 @@ def smooth_along(
     return np.stack(result, axis=-1).reshape(values.shape)
 
 
-def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float, sure: float = 1.0) -> tuple[Floats, float]:
+def smooth_to_noise(
+    values: ArrayLike, weights: ArrayLike, step_mm: float, sure: float = 1.0, gap: int = GAP
+) -> tuple[Floats, float]:
     """Smooth values (S,) as stiffly as their own noise asks for; returns them and the length (mm) that was taken.
 
-    Cross-validation by stretches: in turns, stretches of ``GAP`` stations here and there are left out and bridged by
+    Cross-validation by stretches: in turns, stretches of ``gap`` stations here and there are left out and bridged by
     the curve through the others; the length taken is the largest whose curves come as near to the middles of the gaps
     as the nearest ones, within a standard error. A curve that follows the noise predicts badly, and so does one too
     stiff for the seam. Stretches, not single stations, because noise is alike on neighbouring stations and would be
@@ -65,31 +68,32 @@ def smooth_to_noise(values: ArrayLike, weights: ArrayLike, step_mm: float, sure:
         weights: (S,) inverse variances up to a common factor, 0 where nothing is known.
         step_mm: distance of neighbouring stations.
         sure: a softer curve is taken where it predicts better by so many standard errors.
+        gap: stations left out together: over half as many noise should no longer be alike, or it is predicted too.
     """
     values, weights = np.asarray(values, dtype=float), np.asarray(weights, dtype=float)
     doublings = int(np.ceil(np.log2(2 * len(values))))
     lengths = step_mm / 2 * 2 ** np.arange(0, doublings + 1e-9, 1 / LENGTHS_PER_DOUBLING)
     place = np.arange(len(values))
-    off = _misses(values, weights / max(weights.max(), 1e-300), (lengths / step_mm) ** 4)
+    off = _misses(values, weights / max(weights.max(), 1e-300), (lengths / step_mm) ** 4, gap)
     scaled = off * np.sqrt(weights / max(weights.max(), 1e-300))
     # The same limit for all lengths, or a bad one would shut out more of what it misses.
     limit = OUTLIER * np.median(scaled[:, weights > 0], axis=1).min(initial=np.inf)
-    best = _stiffest(np.minimum(scaled, limit) ** 2, sure)
+    best = _stiffest(np.minimum(scaled, limit) ** 2, sure, gap)
     # The first and the last gap are not bridged but reached from one side: there no prediction tells an outlier.
     known = np.flatnonzero(weights > 0)
-    bridged = (place >= known.min(initial=len(place)) + GAP) & (place <= known.max(initial=0) - GAP)
+    bridged = (place >= known.min(initial=len(place)) + gap) & (place <= known.max(initial=0) - gap)
     trusted = np.where(bridged & (scaled[best] > limit), 0.0, weights)
     return smooth_along(values, trusted, lengths[best], step_mm), float(lengths[best])
 
 
-def _stiffest(squares: Floats, sure: float) -> int:
+def _stiffest(squares: Floats, sure: float, gap: int) -> int:
     """The stiffest of L curves that predicts as well as the best one, within ``sure`` standard errors, from squares
     (L, S).
 
-    The standard error is that of the difference between both, from sums over stretches of ``GAP`` stations.
+    The standard error is that of the difference between both, from sums over stretches of ``gap`` stations.
     """
     best = int(np.argmin(squares.sum(axis=1)))
-    starts = np.arange(0, squares.shape[1], GAP)
+    starts = np.arange(0, squares.shape[1], gap)
     worse = np.add.reduceat(squares[best:] - squares[best], starts, axis=1)
     doubt = worse.std(axis=1) * np.sqrt(len(starts) ** 2 / max(len(starts) - 1, 1))
     return best + int(np.flatnonzero(worse.sum(axis=1) <= sure * doubt)[-1])
@@ -109,18 +113,19 @@ def _robust(values: Floats, base: Floats, stiffness: float, rounds: int) -> Floa
 
 
 @njit(cache=True, nogil=True)
-def _misses(values: Floats, weights: Floats, stiffnesses: Floats) -> Floats:
+def _misses(values: Floats, weights: Floats, stiffnesses: Floats, gap: int) -> Floats:
     """How far (L, S) the curve of each of L stiffnesses misses a value when it and those around it are left out."""
     count = len(values)
     smooth, bands, kept = np.empty(count), np.empty((3, count)), np.empty(count)
     off = np.empty((len(stiffnesses), count))
-    for turn in range(PERIOD // JUDGED):
+    period = gap + gap * KEPT // GAP
+    for turn in range(-(-period // JUDGED)):
         for s in range(count):
-            kept[s] = 0.0 if (s + turn * JUDGED) % PERIOD < GAP else weights[s]
+            kept[s] = 0.0 if (s + turn * JUDGED) % period < gap else weights[s]
         for trial in range(len(stiffnesses)):
             _smooth(values, kept, stiffnesses[trial], smooth, bands)
             for s in range(count):
-                if abs((s + turn * JUDGED) % PERIOD - GAP // 2) <= JUDGED // 2:
+                if abs((s + turn * JUDGED) % period - gap // 2) <= JUDGED // 2:
                     off[trial, s] = abs(values[s] - smooth[s])
     return off
 

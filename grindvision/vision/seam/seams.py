@@ -47,8 +47,6 @@ Flags = NDArray[np.bool_]
 BEVEL_ASPECT, BEVEL_FRACTION = 6.0, 0.15
 #: A groove is told from a gap between upright faces, which a camera blurs, if it is so many spacings wide.
 TOLD_SPACINGS = 6.5
-#: The root below an upright edge is known as well as a camera places such an edge, in spacings.
-UPRIGHT_SIGMA_SPACINGS = 0.7
 #: A groove whose root lies nearer than this fraction of the width to an edge may have an upright wall there.
 SKEWED = 0.3
 #: Seams shorter than this fraction of the longest are named with the less certain ones.
@@ -216,7 +214,7 @@ def _reshaped(found: GrooveDetection | None, cloud: Floats, valid: Flags, spacin
         resolved = groove.length_mm > least and width > TOLD_SPACINGS * spacing
         if resolved and wall_fraction(mine, cloud) >= MIN_WALL_FRACTION:
             shape = section_shape(groove, cloud, spacing)
-            kept.append(_with_sigma(groove if shape is None else with_shape(groove, shape), spacing))
+            kept.append(groove if shape is None else with_shape(groove, shape))
     return replace(found, grooves=tuple(kept))
 
 
@@ -227,14 +225,7 @@ def _upright(one: Judged, cloud: Floats, spacing: float) -> Judged:
     shape = section_shape(one.groove, cloud, spacing)
     if shape is None or skew_of(moved := with_shape(one.groove, shape)) > BEVEL_SKEW:
         return one
-    return replace(one, groove=_with_sigma(moved, spacing))
-
-
-def _with_sigma(groove: DetectedGroove, spacing: float) -> DetectedGroove:
-    """A groove whose root, if it lies below an upright edge, is no surer than the place of that edge."""
-    if skew_of(groove) > BEVEL_SKEW:
-        return groove
-    return replace(groove, root_deviation_mm=np.hypot(groove.root_deviation_mm, UPRIGHT_SIGMA_SPACINGS * spacing))
+    return replace(one, groove=moved)
 
 
 def _facings(viewpoint_mm: ArrayLike | None, told: Floats | None, sides: int) -> list[Floats | None]:

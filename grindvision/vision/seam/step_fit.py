@@ -14,8 +14,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from grindvision.records import by_content
 from grindvision.vision.seam.face_fit import MIN_NOISE_MM, Scale
+from grindvision.vision.seam.root_line import root_line
 from grindvision.vision.seam.seam_curve import SeamCurve, build_curve, closed_runs, extended, nearest_stations
-from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along, smooth_to_noise
+from grindvision.vision.seam.seam_smoothing import MAD_TO_STD, smooth_along
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -23,6 +24,8 @@ Flags = NDArray[np.bool_]
 
 #: Points of a wall lie between these fractions of the step's height.
 WALL_HEIGHTS = 0.2, 0.8
+#: A share of few points is uncertain by so many standard errors, reckoned with so many points more, half of each kind.
+LEAST_SHARE, ADDED = 2.0, 4
 #: The bottom of a gap lies as deep as this percentile of the points in it.
 DEEPEST = 90
 #: With so many points on the wall per station its place is taken from them, otherwise from where the surfaces end.
@@ -42,19 +45,21 @@ ROUNDS, TUKEY = 4, 4.0
 class EdgeFit:
     """Two surfaces beside a seam at S stations of ``curve``; its ``up`` is the lower surface's normal.
 
-    ``root`` (S, 3) mm: on the lower surface under the upper one's edge, or half-way across a gap; ``sigma_mm`` (S,)
-    across the seam. ``edges`` (2, S, 3) are where the two surfaces end (the upper one first), ``step_mm`` (S,) the
-    first one's height above the second at the seam, ``gap_mm`` (S,) the distance between the edges,
-    ``gap_sigma_mm`` its standard deviation. ``normals`` (2, S, 3) are the surfaces', ``shown`` (S,) where both are
-    seen, ``noise_mm`` their scatter, ``members`` (K,) the points beside the seam, ``between`` (S,) the number of points
-    inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to the lower one. ``fall_rad`` is by how
-    much both surfaces together turn down where they end: next to nothing for two plates, a lot for two tubes.
-    ``on_walls`` is the fraction of the points in a gap that lie neither near its surfaces nor near its bottom.
+    ``root`` (S, 3) mm: on the lower surface under the upper one's edge, or half-way across a gap; ``sigma_mm`` (S,) of
+    its distance, ``edge_sigma_mm`` of the edges' places across the seam. ``edges`` (2, S, 3) are where the two surfaces
+    end (the upper one first), ``step_mm`` (S,) the first one's height above the second at the seam, ``gap_mm`` (S,) the
+    distance between the edges, ``gap_sigma_mm`` its standard deviation. ``normals`` (2, S, 3) are the surfaces',
+    ``shown`` (S,) where both are seen, ``noise_mm`` their scatter, ``members`` (K,) the points beside the seam,
+    ``between`` (S,) the number of points inside the gap or on the wall, ``way`` (S, 3) leads from the upper surface to
+    the lower one. ``fall_rad`` is by how much both surfaces together turn down where they end: next to nothing for two
+    plates, a lot for two tubes. ``on_walls`` is the least fraction, for all that their number tells, of the points in a
+    gap that lie neither near its surfaces nor near its bottom.
     """
 
     curve: SeamCurve
     root: Floats
     sigma_mm: Floats
+    edge_sigma_mm: float
     edges: Floats
     step_mm: Floats
     gap_mm: Floats
@@ -121,7 +126,8 @@ def fit_step(
 @by_content
 @dataclass(frozen=True)
 class _Edges:
-    """What ``_edges`` found at S stations, in the curve's coordinates; see ``EdgeFit``."""
+    """What ``_edges`` found at S stations, in the curve's coordinates; see ``EdgeFit``. ``common`` is the standard
+    deviation of the root that all stations share: rows of points along an edge end alike, up to a spacing before it."""
 
     curve: SeamCurve
     across: Floats
@@ -141,6 +147,8 @@ class _Edges:
     side: float
     fall_rad: float
     on_walls: float
+    window: float
+    common: float
 
 
 def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | None, scale: Scale) -> _Edges | None:
@@ -191,12 +199,14 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         return None
     per_station = np.bincount(station[between], minlength=count)
     on_walls = _on_walls((np.minimum(upper, lower) - v)[between])
-    ends, spread = _smooth_ends(ends, shown, curve.step_mm, window)
+    ends, spread, least = _smooth_ends(ends, shown, curve.step_mm, window)
     half = scale.spacing / 2
+    common = np.sqrt(max(scale.spacing**2 / 12 - least**2, 0.0) / 2)
     if height_mm is None:
         across = ends.mean(axis=0)
     elif per_station[shown].mean() > MIN_WALL_POINTS:
         across, spread = _wall(station[between], u[between], per_station, count, window)
+        common = 0.0
     else:
         hidden = ends[1] - ends[0] > 3 * scale.spacing
         across = np.where(hidden, ends[0] + half, ends.mean(axis=0))
@@ -209,16 +219,18 @@ def _edges(points: Floats, curve: SeamCurve, side: float, height_mm: float | Non
         heights[0] - heights[1], side * (ends + [[half], [-half]]), heights,
         side * np.stack([one[:, 1] for one in lines]),
         spread / np.sqrt(samples), spread * np.sqrt(2 / samples), noise, index[beside], per_station, side,
-        fall, on_walls,
+        fall, on_walls, window, common,
     )  # fmt: skip
 
 
 def _on_walls(depth: Floats) -> float:
-    """Fraction of the points of a gap, at depths (K,) below its surfaces, that lie away from these and its bottom."""
+    """Fraction of the points of a gap, at depths (K,) below its surfaces, that lie away from these and its bottom: what
+    it is at least, for all that so many points tell."""
     if not len(depth):
         return 0.0
     low, high = np.percentile(depth, DEEPEST) * np.array(WALL_HEIGHTS)
-    return float(((depth > low) & (depth < high)).mean())
+    share = (((depth > low) & (depth < high)).sum() + ADDED / 2) / (len(depth) + ADDED)
+    return float(max(share - LEAST_SHARE * np.sqrt(share * (1 - share) / (len(depth) + ADDED)), 0.0))
 
 
 def _line(at: Integers, u: Floats, v: Floats, count: int, window: float) -> tuple[Floats, float, Flags]:
@@ -260,16 +272,17 @@ def _extreme(at: Integers, u: Floats, count: int) -> Floats:
     return np.where(np.isfinite(result), result, np.nan)
 
 
-def _smooth_ends(ends: Floats, shown: Flags, step: float, window: float) -> tuple[Floats, float]:
-    """The two surfaces' ends (2, S) smoothed along the seam, and the scatter of single stations."""
-    result, scatter = np.empty_like(ends), 0.0
+def _smooth_ends(ends: Floats, shown: Flags, step: float, window: float) -> tuple[Floats, float, float]:
+    """The two surfaces' ends (2, S) smoothed along the seam, and the larger and the smaller scatter of single
+    stations."""
+    result, scatter = np.empty_like(ends), []
     for row in range(2):
         values = np.where(np.isfinite(ends[row]), ends[row], 0.0)
         weight = np.where(np.isfinite(ends[row]) & shown, 1.0, 0.0)
         result[row] = smooth_along(values, weight, 2 * window * step, step, robust=True)
         off = (ends[row] - result[row])[weight > 0]
-        scatter = max(scatter, float(MAD_TO_STD * np.median(np.abs(off))))
-    return result, scatter
+        scatter.append(float(MAD_TO_STD * np.median(np.abs(off))))
+    return result, max(scatter), min(scatter)
 
 
 def _wall(at: Integers, u: Floats, per_station: Integers, count: int, window: float) -> tuple[Floats, float]:
@@ -288,11 +301,10 @@ def _wall(at: Integers, u: Floats, per_station: Integers, count: int, window: fl
 def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     curve = found.curve
     part = curve.part(here)
-    weight = found.weight[here]
-    across = smooth_to_noise(found.across[here], weight, curve.step_mm)[0]
-    level = smooth_to_noise(found.level[here], weight, curve.step_mm)[0]
-    mean_level = found.heights[:, here].mean(axis=0) if gap else level
-    root = part.stations + across[:, None] * part.across + mean_level[:, None] * part.up
+    level = found.heights[:, here].mean(axis=0) if gap else found.level[here]
+    displacement = np.column_stack([found.across[here], level])
+    promised = np.full(len(part), max(found.sigma, MIN_NOISE_MM))
+    line = root_line(part, displacement, found.weight[here], promised, found.window)
     edges = np.stack(
         [
             part.stations + found.ends[k, here, None] * part.across + found.heights[k, here, None] * part.up
@@ -302,9 +314,10 @@ def _part(found: _Edges, here: slice, gap: bool) -> EdgeFit:
     normals = part.up - found.tilts[:, here, None] * part.across
     normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
     width = np.abs(found.ends[1, here] - found.ends[0, here])
-    sigma = np.full(len(part), max(found.sigma, 1e-3))
+    sigma = np.hypot(np.sqrt(2.0) * line.scatter * line.sigma * promised, max(found.common, 1e-3))  # both directions
     return EdgeFit(
-        part, root, sigma, edges, found.step_mm[here], width, found.gap_sigma, normals, found.shown[here], found.noise,
+        part, line.places, sigma, found.sigma, edges, found.step_mm[here], width, found.gap_sigma, normals,
+        found.shown[here], found.noise,
         np.unique(found.members), found.between[here].astype(float), found.side * part.across,
         found.fall_rad, found.on_walls,
     )  # fmt: skip

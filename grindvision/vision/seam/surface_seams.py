@@ -15,14 +15,14 @@ from scipy.spatial import cKDTree
 from grindvision.geometry import inverse, rotate_vectors
 from grindvision.geometry.bounds import diagonal_mm
 from grindvision.vision.seam.face_fit import Scale
-from grindvision.vision.seam.face_shapes import face_shapes
+from grindvision.vision.seam.face_shapes import bar_width_mm, face_shapes
 from grindvision.vision.seam.gap_lines import find_gaps
 from grindvision.vision.seam.joint_fit import JointFit, fit_joint
 from grindvision.vision.seam.joint_names import BUTT, LAP, OUTSIDE
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.pair_kernels import CONCAVE, CONVEX, STEP
 from grindvision.vision.seam.seam_course import beyond_ends_mm, left_out_mm
-from grindvision.vision.seam.seam_kinds import corner_seam, cut_short, named_edges, plausible
+from grindvision.vision.seam.seam_kinds import corner_seam, cut_short, may_be_rib, named_edges, plausible
 from grindvision.vision.seam.seam_sight import with_sight
 from grindvision.vision.seam.seam_tracing import trace_curves
 from grindvision.vision.seam.step_fit import fit_step
@@ -77,7 +77,8 @@ def surface_seams(
         kinds = (CONCAVE, CONVEX) if OUTSIDE in wanted else (CONCAVE,)
         for kind in kinds:
             found += _corners(cloud, scene, pairs.of(kind), scale, [*known, *found], (kind == CONCAVE, factor > 1))
-        found += [with_sight(one, cloud, towards) for one in _steps(cloud, pairs.of(STEP), scale, [*known, *found])]
+        steps = _steps(cloud, scene[:2], pairs.of(STEP), scale, [*known, *found])
+        found += [with_sight(one, cloud, towards) for one in steps]
         if known or sum(seam.length_mm for seam in _sure(found)) > ENOUGH * diagonal:
             break
     if BUTT in wanted and not known and not _sure(found):
@@ -163,7 +164,9 @@ def _consistent(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     return first, second
 
 
-def _steps(cloud: Floats, pairs: SurfacePairs, scale: Scale, known: list[Seam]) -> list[Seam]:
+def _steps(
+    cloud: Floats, scene: tuple[Surfels, Floats], pairs: SurfacePairs, scale: Scale, known: list[Seam]
+) -> list[Seam]:
     """Steps from one surface down to another that lies side by side with it."""
     low = pairs.step_mm < MAX_STEP_MM
     places, along = pairs.places[low], pairs.along[low]
@@ -176,8 +179,9 @@ def _steps(cloud: Floats, pairs: SurfacePairs, scale: Scale, known: list[Seam]) 
         height = float(np.median(pairs.step_mm[low][at]))
         fit = fit_step(cloud, curve, pairs.first[low][at], pairs.second[low][at], height, scale)
         seam = None if fit is None else named_edges(fit, scale, gap=False)
-        if seam is not None and not runs_along(seam.root, [*known, *found], 2 * scale.cell):
-            found.append(seam)
+        if fit is not None and seam is not None and not runs_along(seam.root, [*known, *found], 2 * scale.cell):
+            width = bar_width_mm(fit, *scene)
+            found.append(seam if width is None else replace(seam, doubts=(*seam.doubts, may_be_rib(width))))
     return found
 
 
