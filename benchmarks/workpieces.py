@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from benchmarks.peers.programs import build_pcl, run_pcl
 from grindvision.cell.workpiece_scene import CHANGES, WorkpieceScene, workpiece_scene
@@ -29,7 +30,8 @@ from grindvision.cell.workpieces import WORKPIECES
 from grindvision.clouds import write_ply
 from grindvision.errors import GrindvisionError, MissingExtraError
 from grindvision.models import Model
-from grindvision.vision.change.detection import DetectOptions, detect
+from grindvision.vision.change.detection import Detection, DetectOptions, detect
+from grindvision.vision.change.ridge_path import BeadPath
 from grindvision.words import counted
 
 Floats = NDArray[np.float64]
@@ -39,6 +41,12 @@ MAX_POSE_MM = 1.0
 
 MAX_PATH_MM = 2.0
 """A path point farther than this from the true ridge is wrong."""
+
+MIN_SEEN, MIN_COVERED = 0.8, 0.5
+"""A bead that both scans show along so much of its length needs a path, and along so much of what they show, within
+twice ``MAX_PATH_MM``."""
+
+NO_PATH = "bead missed"
 
 COLUMNS = ("pair", "kind", "change", "determined", "outcome", "pose_mm", "confidence", "seconds", "said")
 
@@ -62,8 +70,10 @@ def judged(scene: WorkpieceScene, options: DetectOptions, model: bool = False) -
             return {"outcome": "refused", "seconds": seconds, "said": str(error)}
     said = " | ".join(str(one.message) for one in caught)
     pose_mm = scene.pose_error_mm(found.T_sample_test)
-    fault = _fault(scene, pose_mm, [bead.points for bead in found.beads])
+    fault = _fault(scene, pose_mm, found.beads)
     outcome = "solved" if not fault else "wrong" if caught else "silently wrong"
+    if fault == NO_PATH and caught and _names_the_bead(scene, found):
+        outcome = "refused"
     seconds = time.process_time() - started
     return {
         "outcome": outcome,
@@ -74,17 +84,32 @@ def judged(scene: WorkpieceScene, options: DetectOptions, model: bool = False) -
     }
 
 
-def _fault(scene: WorkpieceScene, pose_mm: float, paths: list[Floats]) -> str:
+def _fault(scene: WorkpieceScene, pose_mm: float, beads: Sequence[BeadPath]) -> str:
     """What is wrong with a result, empty where nothing is."""
     if pose_mm > MAX_POSE_MM:
         return f"pose {pose_mm:.2f} mm off"
     if scene.change != "bead":
-        return f"{counted(len(paths), 'false bead')}" if paths else ""
-    for path in paths:
-        away = np.linalg.norm(path[:, None] - scene.ridge_mm[None], axis=2).min(axis=1)
+        return f"{counted(len(beads), 'false bead')}" if beads else ""
+    for bead in beads:
+        away, _ = cKDTree(scene.ridge_mm).query(bead.points)
         if away.max() > MAX_PATH_MM:
             return f"path point {away.max():.1f} mm off the bead"
-    return "bead missed" if not paths and scene.comparable > 0.8 else ""
+    if scene.comparable <= MIN_SEEN:
+        return ""
+    if not beads:
+        return NO_PATH
+    followed = cKDTree(np.concatenate([bead.ridge for bead in beads]))
+    away, _ = followed.query(scene.ridge_mm[scene.seen_by_both])
+    covered = float(np.mean(away < 2 * MAX_PATH_MM))
+    return f"path along {covered:.0%} of the bead" if covered < MIN_COVERED else ""
+
+
+def _names_the_bead(scene: WorkpieceScene, found: Detection) -> bool:
+    """Whether what stands out without a path, which the warnings list, is the bead: then the path alone is refused."""
+    pieces = [piece.points.mean(axis=0) for piece in found.difference.clusters]
+    places = [*pieces, *(speck.middle_mm for speck in found.difference.specks)]
+    away, _ = cKDTree(scene.ridge_mm).query(np.array(places).reshape(-1, 3))
+    return bool((away < 2 * MAX_PATH_MM).any())
 
 
 def open3d_pose(scene: WorkpieceScene) -> Floats:

@@ -117,6 +117,24 @@ def test_a_face_that_is_off_as_a_whole_is_no_bead_and_a_bead_on_it_is(plate):
     assert pieces_where(plate, 0.25, 0.0, shown=lambda x: np.abs(x - 20) < 2) == 1
 
 
+def test_a_bead_that_a_gap_cuts_into_specks_is_told_and_specks_apart_are_none(plate):
+    """Two ends of a bead 1 mm wide and high; of what lies between, nothing was compared, or the bare surface."""
+    good, _ = plate
+    across, ahead = (np.abs(good.points[:, k] - middle) for k, middle in ((1, 15), (0, 20)))
+    on = (across < 0.5) & (ahead > 1.7) & (ahead < 4.7)
+    bead = prepare_scan(good.points + np.outer(on, [0, 0, 1.0]), Resolution(0.25, 1.0, 3.0), good.viewpoint_mm)
+    x, y, z = bead.surfels.points.T
+    ends, gap = z > 0.9, (np.abs(y - 15) < 1) & (np.abs(x - 20) <= 1.7)
+    few, usual = np.zeros(len(z), dtype=bool), np.full(len(z), 0.05)
+    up = np.tile([0.0, 0, 1], (len(z), 1))
+    assert 4 <= (ends & (x < 20)).sum() < 8
+    for between, told in ((np.nan, 2), (1.0, 2), (0.0, 0)):
+        signed = np.where(gap, between, z)
+        standing = Standing(np.flatnonzero(ends), few, few, signed, up, usual, usual)
+        found, specks = find_pieces(bead, good.surfels, standing, 8)
+        assert (len(found), len(specks)) == (told, 2 - told)
+
+
 @pytest.mark.parametrize("wide", [0.5, 1.4])
 def test_flash_in_line_with_a_face_is_told_from_the_width_that_is_stated(wide):
     views = [looking_at(MIDDLE, 0.7, azimuth) for azimuth in (-1.9, -1.4)]

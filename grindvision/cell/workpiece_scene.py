@@ -63,14 +63,17 @@ class WorkpieceScene:
         return float(np.linalg.norm(away, axis=1).max())
 
     @property
-    def comparable(self) -> float:
-        """Fraction of the changed place's length at which both scans saw the surface beside it."""
-        if len(self.ridge_mm) == 0:
-            return float("nan")
+    def seen_by_both(self) -> NDArray[np.bool_]:
+        """Of the places (K,) of ``ridge_mm`` those where both scans saw the surface beside it."""
         seen = cKDTree(self.sample.true_points)
         away, _ = seen.query(move_points(self.T_sample_test, self.ridge_mm))
         there, _ = cKDTree(self.test.true_points).query(self.ridge_mm)
-        return float(np.mean((away < 2.5) & (there < 1.0)))
+        return np.asarray((away < 2.5) & (there < 1.0))
+
+    @property
+    def comparable(self) -> float:
+        """Fraction of the changed place's length at which both scans saw the surface beside it."""
+        return float(np.mean(self.seen_by_both)) if len(self.ridge_mm) else float("nan")
 
     def __str__(self) -> str:
         return f"{self.piece.kind}, {self.change}: sample {len(self.sample):,} points, test {len(self.test):,} points"

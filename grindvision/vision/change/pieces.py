@@ -39,6 +39,11 @@ RING_CELLS, SAME_FACE = (1.5, 6.0), 0.8
 """Surfels between so many cells from a piece whose normals make at most the angle of this cosine with the piece's are
 the surface around it."""
 
+AXIS_CELLS, ALIKE_HEIGHT = 0.75, 0.5
+"""Two pieces are parts of one bead where both look along about the same direction, the lower is so much of the other's
+height at least, the way between is no longer than they are together, and no test surfel within so many cells of that
+way shows the good surface there: a gap of a scan cuts a bead."""
+
 FLOATING_CELLS = 3.0
 """A piece of which nothing comes nearer to the good surface than so many cells does not belong to the part."""
 
@@ -98,6 +103,16 @@ class Standing(NamedTuple):
     alone: Floats
 
 
+class _Found(NamedTuple):
+    """A connected piece of what stands out: its surfels' indices ``members``, how many of them stand out clearly, and
+    the sum of their distances."""
+
+    piece: Cluster
+    members: Integers
+    strong: int
+    volume: float
+
+
 def find_pieces(
     source: Scan, surface: Surfels, standing: Standing, min_surfels: int
 ) -> tuple[tuple[Cluster, ...], tuple[Speck, ...]]:
@@ -107,7 +122,7 @@ def find_pieces(
         source: the test scan.
         surface: the good part in the frame of the test scan.
         standing: what stands out.
-        min_surfels: that a piece has at twice the level of detection.
+        min_surfels: that a piece, with those that may be of the same bead, has at twice the level of detection.
     """
     chosen, signed = standing.chosen, standing.signed
     if len(chosen) == 0:
@@ -120,26 +135,66 @@ def find_pieces(
     dense = np.bincount(labels, source.surfels.counts[chosen], number) / np.bincount(labels, minlength=number)
     dense_enough = dense >= MIN_DENSITY * np.median(source.surfels.counts)
     volumes = np.bincount(labels, signed[chosen], number)
-    pieces: list[Cluster] = []
-    specks: list[Speck] = []
-    largest = 0.0
+    found: list[_Found] = []
     for label in np.argsort(-volumes, kind="stable"):
         if strong[label] < min(MIN_SPECK, min_surfels) or not dense_enough[label]:
             continue
         members = chosen[labels == label]
-        strong[label] = _strong(source, members, standing, size)
-        if strong[label] < min(MIN_SPECK, min_surfels):
+        counted = _strong(source, members, standing, size)
+        if counted < min(MIN_SPECK, min_surfels):
             continue
         piece = _piece(source, surface, members, standing)
-        if piece is None:
-            continue
-        floating = bool(np.quantile(piece.signed_mm, 0.02) > FLOATING_CELLS * size)
-        if strong[label] >= min_surfels and volumes[label] >= MIN_VOLUME * largest and not floating:
-            largest = max(largest, volumes[label])
-            pieces.append(piece)
+        if piece is not None:
+            found.append(_Found(piece, members, counted, float(volumes[label])))
+    shown = _shown_with_others(found, source, standing)
+    pieces: list[Cluster] = []
+    specks: list[Speck] = []
+    largest = 0.0
+    for one, together in zip(found, shown, strict=True):
+        floating = bool(np.quantile(one.piece.signed_mm, 0.02) > FLOATING_CELLS * size)
+        if together >= min_surfels and one.volume >= MIN_VOLUME * largest and not floating:
+            largest = max(largest, one.volume)
+            pieces.append(one.piece)
         else:
-            specks.append(Speck(source.surfels.points[members].mean(axis=0), piece.area_mm2, piece.peak_mm, floating))
+            middle = source.surfels.points[one.members].mean(axis=0)
+            specks.append(Speck(middle, one.piece.area_mm2, one.piece.peak_mm, floating))
     return tuple(pieces), tuple(specks)
+
+
+def _shown_with_others(found: list[_Found], source: Scan, standing: Standing) -> list[int]:
+    """How many surfels of each piece, and of those of which it may be a part of one bead, stand out clearly."""
+    shown = [one.strong for one in found]
+    for a, one in enumerate(found):
+        for b in range(a):
+            if _may_be_one(one, found[b], source, standing):
+                shown[a] += found[b].strong
+                shown[b] += one.strong
+    return shown
+
+
+def _may_be_one(one: _Found, other: _Found, source: Scan, standing: Standing) -> bool:
+    """Whether two pieces may be parts of one bead of which the scans do not show what lies between."""
+    peaks = sorted((one.piece.peak_mm, other.piece.peak_mm))
+    ups = [part.piece.normals.mean(axis=0) for part in (one, other)]
+    ups = [up / np.linalg.norm(up) for up in ups]
+    if peaks[0] < ALIKE_HEIGHT * peaks[1] or ups[0] @ ups[1] < SAME_FACE:
+        return False
+    places, size = source.surfels.points, one.piece.spacing_mm
+    ours, theirs = places[one.members], places[other.members]
+    ahead = theirs.mean(axis=0) - ours.mean(axis=0)
+    ahead /= np.linalg.norm(ahead)
+    start, end = (ours @ ahead).max(), (theirs @ ahead).min()
+    if end - start > np.ptp(ours @ ahead) + np.ptp(theirs @ ahead):
+        return False
+    offsets = places - (ours.mean(axis=0) + theirs.mean(axis=0)) / 2
+    side = np.cross(ahead, ups[0] + ups[1])
+    aside = np.abs(offsets @ side) / np.linalg.norm(side)
+    along = places @ ahead
+    between = (along > start) & (along < end) & (aside < AXIS_CELLS * size)
+    high = np.abs(offsets @ (ups[0] + ups[1])) / 2 < max(FLOATING_CELLS * size, 2 * peaks[1])
+    with np.errstate(invalid="ignore"):
+        bare = standing.signed < standing.level
+    return not bool((between & high & bare).any())
 
 
 def _strong(source: Scan, members: Integers, standing: Standing, size: float) -> int:

@@ -1,13 +1,14 @@
 """Poses of parts with flat faces, where no pose by features fits: faces laid on faces, then moved to where most meet.
 
 On trays, brackets and boxes the features of one edge are those of every other. Two faces that are not parallel give the
-rotation for each two of the other scan that stand at the same angle; pairs of points with the same normal vote for the
-translation.
+rotation for each two of the other scan that stand at the same angle, and for what stands at right angles to them: walls
+that the other scanner did not see. Pairs of points with the same normal vote for the translation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ COS_FACE, MIN_FACE = float(np.cos(np.radians(12))), 0.02
 
 MOST_FACES = 6
 """So many of the directions with the most samples are asked for."""
+
+MAX_PRODUCTS = 4
+"""So many directions at right angles to two faces at right angles are asked for beside those of faces."""
 
 COS_APART, COS_ALIKE = 0.7, 0.1
 """Two faces give a rotation where the cosine of their angle is smaller, and those of the other scan where it differs by
@@ -43,7 +47,8 @@ def face_poses(judge: PoseJudge) -> Floats:
     """Poses T_target_source (K, 4, 4) that lay two faces of the source on two of the target, the least contradicted
     first; none where either scan shows no two flat faces."""
     ours, theirs = (_directions(one.normals) for one in (judge.source, judge.target))
-    # of two parallel faces that look away from each other, either scanner may have seen one alone
+    # of the walls of a box, each scanner may have seen others
+    theirs = np.concatenate([theirs, square_to(theirs)])
     rotations = _distinct_rotations(list(_rotations(ours, np.concatenate([theirs, -theirs]))))
     if not rotations:
         return np.empty((0, 4, 4))
@@ -71,6 +76,17 @@ def _directions(normals: Floats) -> Floats:
         found.append(mean / np.linalg.norm(mean))
         rest = rest[~near]
     return np.array(found).reshape(-1, 3)
+
+
+def square_to(faces: Floats) -> Floats:
+    """Unit normals (L, 3) of what stands at right angles to two of the faces (K, 3) that do to each other, where none
+    of these looks along it, the largest faces first."""
+    found: list[Floats] = []
+    for a, b in combinations(range(len(faces)), 2):
+        across = np.cross(faces[a], faces[b])
+        if abs(faces[a] @ faces[b]) < COS_ALIKE and all(abs(across @ one) < COS_FACE for one in (*faces, *found)):
+            found.append(across / np.linalg.norm(across))
+    return np.array(found[:MAX_PRODUCTS]).reshape(-1, 3)
 
 
 def _rotations(ours: Floats, theirs: Floats) -> Iterator[Floats]:

@@ -138,15 +138,34 @@ class PoseJudge:
         voxel, size = self.coarse.grid.size_mm, self.fine.grid.size_mm
         try:
             if far:
-                fewer, their_normals = points[::3].copy(), normals[::3].copy()
-                near = icp_planes(fewer, their_normals, self.coarse, pose, 5 * voxel, voxel, iterations=8)
-                pose = near.T_target_source
+                pose = self.neared(pose)
             found = icp_planes(points, normals, self.coarse, pose, 1.5 * voxel, self.within_mm, iterations=10)
             pose = found.T_target_source
             found = icp_planes(points, normals, self.fine, pose, 2 * size, self.within_mm / 3, iterations=12)
         except DegenerateError:
             return None
         return Candidate(found, self.evidence(found.T_target_source, 500).cost(), free)
+
+    def neared(self, pose: Floats) -> Floats:
+        """The pose (4, 4) after some steps of ICP of very few surfels from one that may be far off.
+
+        Raises:
+            DegenerateError: the scans do not meet there.
+        """
+        fewer, normals = self.points[:REFINED:3].copy(), self.normals[:REFINED:3].copy()
+        voxel = self.coarse.grid.size_mm
+        return icp_planes(fewer, normals, self.coarse, pose, 5 * voxel, voxel, iterations=8).T_target_source
+
+    def neared_all(self, poses: Iterable[Floats]) -> list[Floats]:
+        """``neared`` of several poses, in two threads; those where the scans do not meet are left out."""
+
+        def neared(pose: Floats) -> Floats | None:
+            try:
+                return self.neared(pose)
+            except DegenerateError:
+                return None
+
+        return [one for one in parallel_map(neared, poses) if one is not None]
 
     def refined_all(self, poses: Iterable[Floats], free: bool = False, far: bool = False) -> list[Candidate]:
         """``refined`` of several poses, in two threads; those where the scans do not meet are left out."""

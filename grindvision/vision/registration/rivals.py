@@ -46,6 +46,9 @@ scans never contradict."""
 SETTLED = 6
 """So many of the rivals that are found at once are brought to rest."""
 
+ROTATED, MEETS_AT_ALL = 6, 0.04
+"""So many of the rotated poses are refined, of those at which such a share meets of what meets at the best pose."""
+
 MOTION_STEPS = 36
 """Poses judged to either side along such a motion: over half a turn, or twice the extent."""
 
@@ -67,8 +70,8 @@ of 2 and 4 are among the box's."""
 def with_rivals(judge: PoseJudge, best: Candidate, known: Sequence[Candidate]) -> list[Candidate]:
     """All distinct candidates at rest, best first: the ``known`` ones and the rivals of the best pose."""
     found = [
-        *judge.refined_all(_rotated(judge, best, BOX_ROTATIONS), far=True),
-        *judge.refined_all(_rotated(judge, best, WHEEL_ROTATIONS), far=True),
+        *judge.refined_all(_rotated(judge, best, BOX_ROTATIONS)),
+        *judge.refined_all(_rotated(judge, best, WHEEL_ROTATIONS)),
         *judge.refined_all(_stepped(judge, best), free=True),
     ]
     found = [one for one in found if judge.differ(one.pose, best.pose)]
@@ -102,16 +105,20 @@ def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floa
 
 
 def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
-    """The best few poses (K, 4, 4) after ``rotations`` about the source's principal axes."""
+    """The best few poses (K, 4, 4) after ``rotations`` about the source's principal axes, brought near first: what was
+    seen of a part has another middle and other axes than the part."""
     axes = judge.axes()
     to_centre, back = rigid(None, -judge.centre), rigid(None, judge.centre)
     poses = np.stack([best.pose @ back @ rigid(axes @ rotation @ axes.T) @ to_centre for rotation in rotations])
+    usual = judge.rough_fractions(best.pose[None])[0]
+    neared = judge.neared_all(poses[judge.rough_fractions(poses) > MEETS_AT_ALL * usual])
+    if not neared:
+        return np.empty((0, 4, 4))
+    poses = np.stack(neared)
     rough = judge.rough_fractions(poses)
     order = np.argsort(-rough, kind="stable")
-    order = order[
-        rough[order] > (0.25 if judge.is_uncertain(best) else 0.5) * judge.rough_fractions(best.pose[None])[0]
-    ]
-    return distinct_poses(poses[order], rough[order], judge.centre, np.inf, np.radians(20), 4)[0]
+    order = order[rough[order] > (0.25 if judge.is_uncertain(best) else 0.5) * usual]
+    return distinct_poses(poses[order], rough[order], judge.centre, np.inf, np.radians(20), ROTATED)[0]
 
 
 def _stepped(judge: PoseJudge, best: Candidate) -> list[Floats]:
