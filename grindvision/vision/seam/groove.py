@@ -218,11 +218,8 @@ def _grooves_seen(
     """
     radius = None if width_mm is None else max(1.2 * width_mm, 8 * spacing)
     found: list[DetectedGroove] = []
+    may_be_gap: list[bool] = []
     cluttered = False
-
-    def may_be_gap(groove: DetectedGroove) -> bool:
-        return wall_fraction(groove, cloud) < MIN_WALL_FRACTION
-
     for frame in frames:
         for look, (valleys, field) in enumerate(find_valleys(cloud, frame, spacing, radius)):
             before = len(found)
@@ -232,9 +229,11 @@ def _grooves_seen(
                     groove = fit_groove(cloud, field.T_field_cloud, valley, spacing, found, bevel)
                     found += [groove] if groove is not None and not _known(groove.root, found) else []
             cluttered = cluttered or (look > 0 and len(found) > before)
-            if not all(may_be_gap(groove) for groove in found):
+            may_be_gap += [wall_fraction(groove, cloud) < MIN_WALL_FRACTION for groove in found[before:]]
+            if not all(may_be_gap):
                 break
-    return sorted(found, key=lambda groove: (may_be_gap(groove), -groove.volume_mm3)), cluttered
+    order = sorted(range(len(found)), key=lambda at: (may_be_gap[at], -found[at].volume_mm3))
+    return [found[at] for at in order], cluttered
 
 
 def _known(path: Floats, grooves: list[DetectedGroove]) -> bool:

@@ -22,6 +22,7 @@ from grindvision.vision.seam.joint_names import BUTT, LAP, OUTSIDE
 from grindvision.vision.seam.joints import Seam
 from grindvision.vision.seam.pair_kernels import CONCAVE, CONVEX, STEP
 from grindvision.vision.seam.seam_course import beyond_ends_mm, left_out_mm
+from grindvision.vision.seam.seam_curve import around
 from grindvision.vision.seam.seam_kinds import corner_seam, cut_short, may_be_rib, named_edges, plausible
 from grindvision.vision.seam.seam_sight import with_sight
 from grindvision.vision.seam.seam_tracing import trace_curves
@@ -226,5 +227,6 @@ def _inside(places: Floats, grooves: list[Seam], margin: float) -> Flags:
             middle = (seam.groove.left + seam.groove.right) / 2
             width = float(np.median(seam.groove.width_mm))
             reach = 0.75 * width + margin
-            inside |= np.isfinite(cKDTree(middle).query(places, distance_upper_bound=reach)[0])
+            near = around(places, middle, reach)
+            inside[near[cKDTree(middle).query(places[near])[0] < reach]] = True
     return inside

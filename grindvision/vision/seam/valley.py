@@ -146,7 +146,9 @@ def _radii(span_mm: float, spacing_mm: float) -> list[float]:
 def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
     """Cut the depth map into valleys: take the deepest, mark what belongs to it, go on with the rest."""
     least = MIN_RELIEF * (2 * MIN_INNER_CELLS - 1) * field.cell_mm
-    level = max(MIN_CONTRAST * float(np.median(depth[field.filled])), least)
+    level, depths = least, depth[field.filled]
+    if 2 * np.count_nonzero(depths <= least / MIN_CONTRAST) <= len(depths):  # told many times faster than the median
+        level = max(MIN_CONTRAST * float(np.median(depths)), least)
     left, pieces = depth, []
     for _ in range(MAX_VALLEYS):
         peak = float(left.max())
