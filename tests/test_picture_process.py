@@ -6,6 +6,7 @@ import select
 import subprocess
 import sys
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -60,7 +61,9 @@ def beside(what, path, shown=None, **options):
 @linux_only
 @pytest.mark.parametrize(("what", "drawn_here"), [("let it draw", b"False\n"), ("kill it", b"True\n")])
 def test_the_picture_is_the_same_whoever_draws_it(what, drawn_here, shown, tmp_path):
-    draw(shown, ["look"], tmp_path / "here.png")
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # another test may have left the book's style
+        draw(shown, ["look"], tmp_path / "here.png")
     run = beside(what, tmp_path / "there.png", shown)
     assert (run.returncode, run.stdout, run.stderr) == (0, drawn_here, b"")
     assert (tmp_path / "there.png").read_bytes() == (tmp_path / "here.png").read_bytes()

@@ -46,8 +46,10 @@ scans never contradict."""
 SETTLED = 6
 """So many of the rivals that are found at once are brought to rest."""
 
-ROTATED, MEETS_AT_ALL = 6, 0.04
-"""So many of the rotated poses are refined, of those at which such a share meets of what meets at the best pose."""
+ROTATED, MEETS_AT_ALL, MEETS_AS_WELL = 6, 0.04, 0.75
+"""So many of the rotated poses are refined, of those at which such a share meets of what meets at the best pose. Where
+so little meets that only what ICP has brought near tells, the second share has to meet there: blades and quarter turns
+of a part itself do, walls that lie on other walls meet in less."""
 
 MOTION_STEPS = 36
 """Poses judged to either side along such a motion: over half a turn, or twice the extent."""
@@ -110,14 +112,17 @@ def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> 
     axes = judge.axes()
     to_centre, back = rigid(None, -judge.centre), rigid(None, judge.centre)
     poses = np.stack([best.pose @ back @ rigid(axes @ rotation @ axes.T) @ to_centre for rotation in rotations])
-    usual = judge.rough_fractions(best.pose[None])[0]
-    neared = judge.neared_all(poses[judge.rough_fractions(poses) > MEETS_AT_ALL * usual])
-    if not neared:
+    usual, rough = judge.rough_fractions(best.pose[None])[0], judge.rough_fractions(poses)
+    least = (0.25 if judge.is_uncertain(best) else 0.5) * usual
+    close = judge.neared_all(poses[rough > least])
+    others = judge.neared_all(poses[(rough <= least) & (rough > MEETS_AT_ALL * usual)])
+    if not close and not others:
         return np.empty((0, 4, 4))
-    poses = np.stack(neared)
+    poses = np.stack([*close, *others])
     rough = judge.rough_fractions(poses)
+    needed = np.where(np.arange(len(poses)) < len(close), least, MEETS_AS_WELL * usual)
     order = np.argsort(-rough, kind="stable")
-    order = order[rough[order] > (0.25 if judge.is_uncertain(best) else 0.5) * usual]
+    order = order[rough[order] > needed[order]]
     return distinct_poses(poses[order], rough[order], judge.centre, np.inf, np.radians(20), ROTATED)[0]
 
 
