@@ -141,6 +141,17 @@ def chain(points: ArrayLike, radius_mm: float) -> Floats:
     return np.hstack([line[:-1], line[1:], np.full((len(line) - 1, 1), radius_mm)])
 
 
+def white_plotter(width_px: int, height_px: int) -> pyvista.Plotter:
+    """An empty picture off screen; VTK keeps to itself that there is no X server."""
+    import pyvista as pv
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    plotter = pv.Plotter(off_screen=True, window_size=[width_px, height_px])
+    plotter.background_color = "white"
+    return plotter
+
+
 def dot_size_mm(points: Floats) -> float:
     """How wide dots must be so that a surface of points (N, 3) closes: as far as the fourth neighbour.
 
@@ -194,12 +205,10 @@ def _packed_layer(layer: Dots | Rods) -> dict[str, Any]:
 
 def _draw_picture(pipeline: Pipeline, target: Path) -> None:
     """The step before the last as a picture, for readers without scripts."""
-    import pyvista as pv
     from PIL import Image
 
     step = pipeline.steps[-2]
-    plotter = pv.Plotter(off_screen=True, window_size=[900, 525])
-    plotter.background_color = "white"
+    plotter = white_plotter(900, 525)
     for layer in pipeline.layers:
         if layer.name in step.layers:
             _draw_layer(plotter, layer, step.pose if layer.moves else np.eye(4))

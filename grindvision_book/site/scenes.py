@@ -22,7 +22,7 @@ from grindvision_book.machinery import frames
 from grindvision_book.machinery.session import COLOURS
 from grindvision_book.site.pictures import Figure
 from grindvision_book.site.pipelines import PLAYBACKS, laid_flat
-from grindvision_book.site.playbacks import Playback
+from grindvision_book.site.playbacks import Playback, white_plotter
 
 if TYPE_CHECKING:
     import pyvista
@@ -55,12 +55,7 @@ class Scene:
         Raises:
             FileError: the folder cannot be written to.
         """
-        import pyvista as pv
-        from vtkmodules.vtkCommonCore import vtkLogger
-
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-        plotter = pv.Plotter(off_screen=True, window_size=[1200, 700])
-        plotter.background_color = "white"
+        plotter = white_plotter(1200, 700)
         self.draws(plotter, most_points)
         with write_whole(folder / f"{self.name}.png") as path:
             plotter.screenshot(path)
