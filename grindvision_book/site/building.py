@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import io
 import json
@@ -12,6 +13,7 @@ import sys
 import warnings
 import zipfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import grindvision
@@ -108,14 +110,16 @@ def build_site(
         return site / "index.html"
     sources, extra = build / "site_sources", build / "site_extra"
     shutil.rmtree(extra, ignore_errors=True)
-    light = _gather(sources, build / "executed", figures, notebooks, scenes, in_browser is not None)
-    dark_copies(sources / "figures", extra / "_images" / "dark", light)
+    with ThreadPoolExecutor(1) as pool:
+        drawing = pool.submit(lambda: [scene.write(extra / "scenes") for scene in scenes])
+        light = _gather(sources, build / "executed", figures, notebooks, scenes, in_browser is not None)
+        dark_copies(sources / "figures", extra / "_images" / "dark", light)
+        drawing.result()
+    for picture in (extra / "scenes").glob("*.png"):
+        (sources / "scenes").mkdir(exist_ok=True)
+        shutil.move(picture, sources / "scenes" / picture.name)
     (extra / "_static").mkdir()
     shutil.copyfile(FIGURES / f"{SHARED_FIGURE}.png", extra / "_static" / "share.png")
-    for scene in scenes:
-        page = scene.write(sources / "scenes")
-        (extra / "scenes").mkdir(parents=True, exist_ok=True)
-        shutil.move(page, extra / "scenes" / page.name)
     shutil.copytree(notebooks, extra / "downloads", ignore=_no_chapter_or_exercise, dirs_exist_ok=True)
     _pack_data(extra / "downloads" / "grindvision-data.zip")
     if in_browser:
@@ -173,9 +177,12 @@ def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) ->
         with warnings.catch_warnings():
             # Sphinx also parses the sources of our classes' parents; one library's write \d unescaped.
             warnings.filterwarnings("ignore", message="invalid escape sequence")
+            gc.disable()  # a search for garbage goes through all pages, and finds nothing to speak of
             app.build()
     except SphinxError as error:
         raise GrindvisionError(f"the HTML book cannot be built: {error}") from None
+    finally:
+        gc.enable()
     if complaints.getvalue():
         print(complaints.getvalue(), file=sys.stderr, end="")
 
