@@ -33,7 +33,9 @@ from grindvision.result_set import write_set
 from grindvision_book.machinery.figures import markdown_table
 from grindvision_book.machinery.one_at_a_time import only_build
 from grindvision_book.studies.rows import RowsFile
-from tests.doors_law import ENDLESS, PATIENCE_S, blank_pictures, command, good, obeys, quickly, wait_for  # noqa: F401
+from tests.doors_law import ENDLESS, PATIENCE_S, command, good, obeys, quickly, wait_for  # noqa: F401
+
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 # What is no plain file
 
@@ -501,7 +503,10 @@ def test_an_unreadable_file_as_a_plain_user(good, tmp_path):
 # Signals
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.full) for number in (signal.SIGINT, signal.SIGHUP))],
+)
 def test_a_signal_ends_a_study_with_its_own_code_and_all_finished_rows(tmp_path, number):
     """The signal goes to the whole group, as from a keyboard or a closed terminal; no worker says a word either."""
     rows = tmp_path / "rows.csv"

@@ -310,7 +310,9 @@ def folder_of_parts(folder, mounted="on-arm", n=5, **kind):
     return [str(folder / "poses.txt"), *views, "--target", "part", "--rotation", "fanuc", "--mounted", mounted]
 
 
-@pytest.mark.parametrize(("mounted", "parent"), [("on-arm", "flange"), ("fixed", "base")])
+@pytest.mark.parametrize(
+    ("mounted", "parent"), [("on-arm", "flange"), pytest.param("fixed", "base", marks=pytest.mark.full)]
+)
 def test_the_part_itself_tells_where_the_camera_is(tmp_path, mounted, parent):
     words = folder_of_parts(tmp_path, mounted)
     assert main(["hand-eye", *words, "-o", str(tmp_path / "camera")]) == 0
@@ -387,6 +389,7 @@ def test_a_comma_is_the_decimal_point_where_something_else_parts_the_columns(tmp
     assert np.array_equal(read_pose_rows(tmp_path / "p.csv"), rows)
 
 
+@pytest.mark.full
 def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refused(real_data, tmp_path, capsys):
     folder = real_data("reghec")
     said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first", "--target", "part"]

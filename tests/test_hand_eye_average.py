@@ -132,7 +132,7 @@ def test_stated_sigmas_hold_over_many_sequences(kind):
     assert (in_sigmas < 3).mean() >= 0.97
 
 
-@pytest.mark.parametrize("mounted", ["on-arm", "fixed"])
+@pytest.mark.parametrize("mounted", ["on-arm", pytest.param("fixed", marks=pytest.mark.full)])
 def test_stated_sigmas_of_a_sphere_hold_over_many_sequences(mounted):
     """Errors of the arm's rotation move the sphere over the lever to it: more than errors of the place alone would."""
     off = []

@@ -22,6 +22,8 @@ from grindvision.vision.surface.model_surface import model_surface, scan_seen_fr
 from grindvision.vision.surface.ray_casting import blocked, ray_tree
 from grindvision.vision.surface.scan import Resolution
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 BOX_FACES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
 BOX_TRIANGLES = np.concatenate([BOX_FACES[:, [0, 1, 2]], BOX_FACES[:, [0, 2, 3]]])
