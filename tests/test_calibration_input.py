@@ -16,6 +16,9 @@ from grindvision.errors import DegenerateError, FileError, InputError, UnitError
 from grindvision.geometry import inverse, move_points
 from tests.calibration_rig import as_table, er3a, rig, ur5
 
+#: A case of a law that ``./run laws`` alone holds.
+by_night = partial(pytest.param, marks=pytest.mark.full)
+
 
 @pytest.fixture
 def folder(tmp_path, rng):
@@ -61,7 +64,7 @@ def test_metres_in_all_columns(column, rng):
         calibrate(replace(measurements, **{column: getattr(measurements, column) / 1000}), er3a())
 
 
-@pytest.mark.parametrize(("column", "name"), [("scanner_mm", "sz_mm"), ("tracker_mm", "bx_mm")])
+@pytest.mark.parametrize(("column", "name"), [("scanner_mm", "sz_mm"), by_night("tracker_mm", "bx_mm")])
 def test_metres_in_one_column(column, name, rng):
     measurements = rig(er3a(), rng).measurements
     scale = np.where(np.arange(3) == "xyz".index(name[1]), 1e-3, 1)
@@ -101,10 +104,6 @@ def test_copied_rows_are_named_and_counted_once(rng):
     result, plain = calibrate(doubled, er3a()), calibrate(measurements, er3a())
     assert any("2 rows are copies" in sentence and "row 55" in sentence for sentence in result.warnings)
     assert np.allclose(result.covariance, plain.covariance)
-
-
-#: A case of a law that ``./run laws`` alone holds.
-by_night = partial(pytest.param, marks=pytest.mark.full)
 
 
 @pytest.mark.parametrize(

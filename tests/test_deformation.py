@@ -215,6 +215,7 @@ def test_the_bead_of_a_twisted_plate_is_the_stock_and_is_ground(ground):
     assert cKDTree(ridge).query(feet)[0].max() < 4.0
 
 
+@pytest.mark.full
 def test_another_part_stays_refused():
     def other(x, y):
         """The same swell with other features elsewhere."""

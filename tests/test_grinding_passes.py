@@ -304,8 +304,15 @@ def test_the_wheel_s_offset_is_learnt_from_its_own_cut(rng, factor, true_mm):
         assert learnt.factor == pytest.approx(factor, rel=0.05)
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.5])
-@pytest.mark.parametrize("high_mm", [0.05, 0.15])
+@pytest.mark.parametrize(
+    ("high_mm", "factor"),
+    [
+        (0.15, 0.6),
+        pytest.param(0.05, 0.6, marks=pytest.mark.full),
+        pytest.param(0.05, 1.5, marks=pytest.mark.full),
+        pytest.param(0.15, 1.5, marks=pytest.mark.full),
+    ],
+)
 def test_a_wheel_that_runs_higher_than_it_was_touched_off_is_no_slow_process(rng, factor, high_mm):
     """Worn, or bent aside by its force: heights above the floors alone do not tell it from a process that lags."""
     plan = plan_grinding(scanned_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0))

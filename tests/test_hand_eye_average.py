@@ -114,7 +114,7 @@ def an_arm_with_wrong_zeros(rng, n):
     return forward(arm, q), true @ small_motions(rng, n, 0.02, np.radians(rng.uniform(0.003, 0.03)))
 
 
-@pytest.mark.parametrize("kind", [independent, an_arm_with_wrong_zeros])
+@pytest.mark.parametrize("kind", [pytest.param(independent, marks=pytest.mark.full), an_arm_with_wrong_zeros])
 def test_stated_sigmas_hold_over_many_sequences(kind):
     off = []
     for seed in range(40):
