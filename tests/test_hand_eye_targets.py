@@ -56,7 +56,7 @@ def test_order_of_points_and_of_sides_moves_the_plate_by_less_than_its_error():
 
 def test_another_size_or_a_plate_that_is_cut_is_refused_with_what_was_seen():
     rng, _, views = scene(6, 1)
-    whole = plate_view(views[0], rng, n=3000)
+    whole = plate_view(views[0], rng, n=2000)
     with pytest.raises(DegenerateError, match=r"no rectangular plate of 200 x 100 mm.* measures 1\d\d x 1\d\d mm"):
         find_plate(whole, (200.0, 100.0), rng, "view")
     local = (whole - views[0][:3, 3]) @ views[0][:3, :3]
@@ -142,7 +142,7 @@ def test_the_command_finds_the_camera_by_either_target(tmp_path, mounted, parent
 
 
 def test_misread_poses_of_a_plate_are_named_and_nothing_is_written(tmp_path, capsys):
-    words = folder_of(tmp_path, "board", "on-arm", of_plate=3000)
+    words = folder_of(tmp_path, "board", "on-arm", of_plate=2000)
     out = ["-o", str(tmp_path / "camera")]
     refused = {
         "xyz --angles deg": ["--target", "board:160x110", "--rotation", "kuka"],
