@@ -159,18 +159,18 @@ def scanned_after(plan, factor, offset_mm=0.0, times=8):
     return as_scanned(left + offset_mm, times)
 
 
-def test_k_is_learnt_from_two_maps_within_its_sigma(rng):
+@pytest.mark.parametrize("factor", [0.6, pytest.param(0.85, marks=pytest.mark.full)])
+def test_k_is_learnt_from_two_maps_within_its_sigma(rng, factor):
     plan = plan_grinding(scanned_work(), GrindingOptions(depth_mm=0.3, width_mm=3.0, passes_max=3))
-    for factor in (0.6, 0.85):
-        truth = scanned_after(plan, factor)
-        off, sigma = [], []
-        for _ in range(6):
-            after = truth + rng.normal(scale=0.03, size=truth.shape)
-            learnt = learn_removal(plan, after, np.full(truth.shape, 0.03))
-            off.append(learnt.factor / factor - 1)
-            sigma.append(learnt.k_sigma_mm2_n / learnt.k_mm2_n)
-        assert np.abs(off).max() < 0.05 and not learnt.at_least
-        assert np.sqrt(np.mean((np.array(off) / sigma) ** 2)) < 2.5
+    truth = scanned_after(plan, factor)
+    off, sigma = [], []
+    for _ in range(6):
+        after = truth + rng.normal(scale=0.03, size=truth.shape)
+        learnt = learn_removal(plan, after, np.full(truth.shape, 0.03))
+        off.append(learnt.factor / factor - 1)
+        sigma.append(learnt.k_sigma_mm2_n / learnt.k_mm2_n)
+    assert np.abs(off).max() < 0.05 and not learnt.at_least
+    assert np.sqrt(np.mean((np.array(off) / sigma) ** 2)) < 2.5
 
 
 def test_k_is_only_bounded_where_the_passes_cut_down_to_their_floors():

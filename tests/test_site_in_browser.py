@@ -112,7 +112,7 @@ def _bytes_loaded(page) -> int:
 
 
 #: Every chapter, and of all other pages as many as stand one in so many, in every run; the rest by night.
-ONE_IN = 4
+ONE_IN = 6
 
 
 @pytest.mark.parametrize("rest", [False, pytest.param(True, marks=pytest.mark.full)])
