@@ -374,7 +374,7 @@ def path_error(scene, points):
     return np.linalg.norm(points[:, None] - scene[1].ridge_mm[None], axis=2).min(axis=1).max()
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(2, 10))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 10))])
 def test_a_closed_model_and_a_one_sided_scan_give_the_bead_at_every_seed(scene, seed):
     found = detect(scene[0], scene[1].test.points, DetectOptions(seed=seed))
     assert pose_error(scene, found.T_sample_test) < 0.3
