@@ -243,7 +243,6 @@ def test_too_few_points_tell_no_field():
         fit_deformation(points, normals, target.surfels, start)
 
 
-@pytest.mark.full
 def test_the_real_deformed_part_is_registered_and_not_refused(real_data):
     sample, test = (finite_points(read_cloud(real_data(f"dac/{name}.ply"), "m"), name) for name in ("sample", "test"))
     with warnings.catch_warnings(record=True) as caught:

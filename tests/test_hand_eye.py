@@ -389,7 +389,6 @@ def test_a_comma_is_the_decimal_point_where_something_else_parts_the_columns(tmp
     assert np.array_equal(read_pose_rows(tmp_path / "p.csv"), rows)
 
 
-@pytest.mark.full
 def test_measured_views_of_a_part_give_the_camera_and_those_of_a_plane_are_refused(real_data, tmp_path, capsys):
     folder = real_data("reghec")
     said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first", "--target", "part"]

@@ -208,7 +208,6 @@ def test_hand_eye_files_are_read_as_written_and_damaged_ones_refused(tmp_path):
         read_camera(path)
 
 
-@pytest.mark.full
 def test_views_of_a_real_part_meet_with_the_sphere_s_calibration(real_data, tmp_path):
     folder = real_data("reghec")
     said = ["--unit", "m", "--rotation", "xyz", "--angles", "rad", "--rotation-first"]
