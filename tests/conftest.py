@@ -1,6 +1,7 @@
 """Settings of the whole test run: pinned arithmetic, no display, and where real data may be found."""
 
 import contextlib
+import gc
 import io
 import os
 import runpy
@@ -25,9 +26,29 @@ hypothesis.settings.register_profile("tests", derandomize=True, deadline=None, p
 hypothesis.settings.load_profile("tests")
 
 
+def pytest_collection_finish():
+    """What has been collected stays until the end: the search for garbage need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20180913)
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    """Pictures take longer than all the rest of many commands, and the tests that look at them draw them."""
+    from importlib import import_module
+
+    def blank(*arguments):
+        (path,) = (one for one in arguments if isinstance(one, Path))
+        for name in ("report.png", "report.pdf") if path.is_dir() else (path.name,):
+            ((path if path.is_dir() else path.parent) / name).write_bytes(b"picture")
+
+    for path in sorted((ROOT / "grindvision" / "cli").glob("*_picture.py")):
+        monkeypatch.setattr(import_module(f"grindvision.cli.{path.stem}"), "draw", blank)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ import struct
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,7 @@ from hypothesis import HealthCheck, settings
 
 from grindvision.arm import write_arm
 from grindvision.calibration.pose_conventions import convention
-from grindvision.cli import detect_picture, groove_picture, main
+from grindvision.cli import main
 from grindvision.cli.camera_pose import camera_content
 from grindvision.clouds import write_ply
 from grindvision.files import write_json
@@ -73,19 +72,6 @@ def good(tmp_path_factory):
     write_json(folder / "camera.json", camera_content(rigid(None, [0, 50.0, 80]), "on-arm", convention("fanuc")))
     (folder / "poses.txt").write_text("500 0 600 180 0 0\n500 20 600 180 5 0\n")
     return folder
-
-
-@pytest.fixture(autouse=True)
-def blank_pictures(monkeypatch):
-    """Pictures take longer than everything else here, and other tests draw them."""
-
-    def blank(*arguments):
-        (path,) = (one for one in arguments if isinstance(one, Path))
-        path.write_bytes(b"png")
-
-    monkeypatch.setattr(detect_picture, "draw", blank)
-    monkeypatch.setattr(groove_picture, "draw", blank)
-    monkeypatch.setattr("grindvision.cli.calibrate_picture.draw", blank)
 
 
 @pytest.fixture

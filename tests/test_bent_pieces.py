@@ -11,6 +11,7 @@ from grindvision import GrindOptions, detect, grind
 from grindvision.geometry import inverse, move_points
 from grindvision.vision.change.bent_pieces import bending_doubts, deepest_missing, fraction_between
 from grindvision.vision.change.change_detection import Difference
+from grindvision.vision.change.comparison import compare
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.deformation import zero_field
 from grindvision.vision.registration.field_misfit import field_misfit
@@ -142,7 +143,22 @@ def curled():
     return sample, move_points(T_TEST_PART, part), move_points(T_TEST_PART, bent(arc_bead().ridge(), "twist"))
 
 
-def test_a_curled_end_is_no_path_and_the_bead_beside_it_is(curled):
+@pytest.fixture(scope="module")
+def compared_once():
+    """``compare``, which takes most of the time: ``detect`` and ``grind`` ask it the same of the same scans."""
+    known = {}
+
+    def once(sample, test, options, clock):
+        key = (sample.tobytes(), test.tobytes())
+        if key not in known:
+            known[key] = compare(sample, test, options, clock)
+        return known[key]
+
+    return once
+
+
+def test_a_curled_end_is_no_path_and_the_bead_beside_it_is(curled, compared_once, monkeypatch):
+    monkeypatch.setattr("grindvision.vision.change.detection.compare", compared_once)
     sample, test, ridge = curled
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -152,7 +168,8 @@ def test_a_curled_end_is_no_path_and_the_bead_beside_it_is(curled):
     assert len(found.beads) == 1 and any("on a deformed part: " in str(one.message) for one in caught)
 
 
-def test_a_curled_end_is_not_ground_and_the_bead_beside_it_is(curled):
+def test_a_curled_end_is_not_ground_and_the_bead_beside_it_is(curled, compared_once, monkeypatch):
+    monkeypatch.setattr("grindvision.grinding.compare", compared_once)
     sample, test, ridge = curled
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -1,5 +1,6 @@
 """The HTML book as files: complete, readable without its own scripts, and with no dead link; no browser needed."""
 
+import contextlib
 import io
 import os
 import re
@@ -35,11 +36,15 @@ from grindvision_book.site.pictures import (
 )
 from grindvision_book.site.playbacks import dot_size_mm
 from grindvision_book.site.scenes import SCENES
-from tests.built_site import SAID, Page
+from tests.built_site import SAID, Page, build_whole_site
 
 
 @pytest.fixture(scope="module")
 def pages(whole_site) -> dict[str, Page]:
+    return pages_of(whole_site)
+
+
+def pages_of(whole_site: Path) -> dict[str, Page]:
     found = (path for path in whole_site.rglob("*.html") if "_static" not in path.parts)
     shown = {path.relative_to(whole_site).as_posix(): path for path in sorted(found)}
     return {name: Page(path) for name, path in shown.items() if not name.startswith("scenes/")}
@@ -51,6 +56,16 @@ def text_of(whole_site: Path, name: str) -> str:
 
 def test_the_build_says_nothing(site_warnings):
     assert site_warnings == ""
+
+
+@pytest.mark.full
+def test_the_build_with_the_whole_reference_says_nothing_and_no_link_is_dead(tmp_path):
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        site = build_whole_site(tmp_path, one_module_in=1)
+    assert said.getvalue() == ""
+    assert (site / "api" / "vision.html").read_text(encoding="utf-8").count("grindvision.vision.seam.weld") > 3
+    assert not dead_links(pages_of(site))
 
 
 def test_every_kind_of_page_is_there(pages):
@@ -81,6 +96,10 @@ def test_styles_fetch_nothing_from_elsewhere(whole_site):
 
 
 def test_no_link_is_dead(pages):
+    assert not dead_links(pages)
+
+
+def dead_links(pages: dict[str, Page]) -> list[str]:
     at = {os.path.normpath(page.path): page for page in pages.values()}
     dead = []
     for name, page in pages.items():
@@ -95,7 +114,7 @@ def test_no_link_is_dead(pages):
                 there = at.get(os.path.normpath(target))
                 if there is None or unquote(parts.fragment) not in there.targets:
                     dead.append(f"{name} -> {link}")
-    assert not dead
+    return dead
 
 
 def test_pages_are_in_order_for_those_who_hear_them(pages):

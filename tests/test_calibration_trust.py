@@ -246,6 +246,7 @@ def test_a_corrected_urdf_moves_as_the_corrected_table(rng, tmp_path):
     np.testing.assert_allclose(again.arm.limits, found.arm.limits)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_verify_passes_and_fails_by_exit_code(rng, tmp_path):
     made = rig(er3a(), rng, rows=60)
     table = pd.DataFrame(made.measurements.q_rad, columns=[f"q{i}_rad" for i in range(1, 5)])
@@ -274,6 +275,7 @@ def test_only_where_the_scanner_sits(rng):
     assert error_statistics(residuals_of(result.cell, made.measurements)).mean < 0.2
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_track_that_the_table_leaves_out_is_named_and_the_advice_works(rng, tmp_path, capsys):
     made = rig(ur5(), rng, rows=60, on_tool=True)
     q, travel = made.measurements.q_rad, rng.uniform(0, 1500, 60)

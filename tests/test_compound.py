@@ -52,11 +52,11 @@ def test_vectors_from_the_ridge_are_square_to_it(paths):
 
 
 def test_a_case_repeats_and_says_what_its_paths_say(paths):
+    """The case walks the chain once more, from the same seed: its numbers are those of the paths to the last digit."""
     case = compound_case(np.random.default_rng(1))
-    pd.testing.assert_frame_equal(paths, compound_paths(np.random.default_rng(1)))
     lengths = np.linalg.norm(off_ridge(paths), axis=1)
-    assert case["off_mm"] == pytest.approx(lengths.mean()) and case["largest_off_mm"] == pytest.approx(lengths.max())
-    assert case["spread_z_mm"] == pytest.approx(spreads(paths)["z_mm"].max())
+    assert case["off_mm"] == lengths.mean() and case["largest_off_mm"] == lengths.max()
+    assert case["spread_z_mm"] == spreads(paths)["z_mm"].max()
 
 
 def test_the_paper_s_boxes_are_found_on_the_same_scans_and_farther_from_the_ridge():

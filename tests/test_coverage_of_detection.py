@@ -25,8 +25,13 @@ def good():
     return pair(seed=4, n_points=20_000)
 
 
-def test_nothing_to_grind_is_said_with_what_was_compared_and_what_would_have_been_told(good):
-    found, _ = found_of(good.sample, good.test)
+@pytest.fixture(scope="module")
+def found_good(good):
+    return found_of(good.sample, good.test)
+
+
+def test_nothing_to_grind_is_said_with_what_was_compared_and_what_would_have_been_told(found_good):
+    found, _ = found_good
     cover = found.coverage
     assert not found.beads and "were compared; beads" in str(found)
     assert 0.9 < cover.test_fraction < 1 and 0.9 < cover.sample_fraction <= 1
@@ -34,8 +39,8 @@ def test_nothing_to_grind_is_said_with_what_was_compared_and_what_would_have_bee
     assert cover.width_mm == 3 * found.difference.cell_mm
 
 
-def test_a_bead_of_the_least_height_and_width_that_is_stated_is_found(good):
-    cover = found_of(good.sample, good.test)[0].coverage
+def test_a_bead_of_the_least_height_and_width_that_is_stated_is_found(found_good):
+    cover = found_good[0].coverage
     for seed in (4, 5, 6):
         bead = arc_bead(length_mm=30.0, width_mm=cover.width_mm, height_mm=cover.height_mm)
         one = pair(seed=seed, n_points=20_000, beads=[bead])
@@ -62,9 +67,9 @@ def test_a_hole_of_the_sample_where_the_bead_is_is_told_with_its_place():
     assert found.coverage.test_missed_mm2 > 200
 
 
-def test_noise_raises_the_least_height_that_is_stated(good):
+def test_noise_raises_the_least_height_that_is_stated(found_good):
     noisy = pair(seed=4, n_points=20_000, noise_mm=0.3)
-    calm, loud = (found_of(one.sample, one.test)[0] for one in (good, noisy))
+    calm, loud = found_good[0], found_of(noisy.sample, noisy.test)[0]
     assert loud.coverage.height_mm > 3 * calm.coverage.height_mm
     assert cannot_show(calm.difference, 2 * calm.coverage.height_95_mm)[0] < 0.15
     blind, places = cannot_show(loud.difference, calm.coverage.height_mm)
@@ -84,10 +89,10 @@ def test_a_bead_that_noise_or_wide_spacing_hides_is_no_bare_nothing_to_grind(rng
     assert not found.beads and "beads narrower than" in said
 
 
-def test_the_same_scan_twice_says_nothing_of_the_part(good):
+def test_the_same_scan_twice_says_nothing_of_the_part(good, found_good):
     _, said = found_of(good.sample, good.sample.copy())
     assert "are one scan" in said
-    assert "are one scan" not in found_of(good.sample, good.test)[1]
+    assert "are one scan" not in found_good[1]
 
 
 def test_all_around_is_told_from_octants_as_from_all_angles(rng):

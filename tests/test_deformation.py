@@ -2,6 +2,7 @@
 bead stays stock, and another part stays refused."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -49,6 +50,11 @@ def fitted(kind, seed=0, beads=()):
     points, normals = source.surfels.points[::3].copy(), source.surfels.normals[::3].copy()
     start = icp_planes(points, normals, target.surfels, T_SAMPLE_TEST, 10.0, 2.0)
     return fit_deformation(points, normals, target.surfels, start), normals
+
+
+@cache
+def twisted():
+    return fitted("twist", 1)
 
 
 def true_places(points, kind):
@@ -132,7 +138,7 @@ def test_a_field_that_folds_the_surface_has_no_inverse():
 
 
 def test_a_bent_plate_is_straightened_within_the_stated_sigma():
-    fit, normals = fitted("twist", 1)
+    fit, normals = twisted()
     off, sigma = errors(fit, normals, "twist")
     assert np.sqrt((off**2).mean()) < 0.03
     assert 0.2 < np.sqrt(((off / sigma) ** 2).mean()) < 1.5
@@ -141,7 +147,7 @@ def test_a_bent_plate_is_straightened_within_the_stated_sigma():
 
 def test_a_bead_is_not_taken_up_by_the_field():
     bead = arc_bead()
-    (with_bead, _), (without, _) = fitted("twist", 1, (bead,)), fitted("twist", 1)
+    (with_bead, _), (without, _) = fitted("twist", 1, (bead,)), twisted()
     ridge = move_points(T_TEST_PART, bent(bead.ridge(), "twist"))
     change = with_bead.field.displacements(ridge) - without.field.displacements(ridge)
     moved = [
@@ -215,6 +221,7 @@ def test_the_bead_of_a_twisted_plate_is_the_stock_and_is_ground(ground):
     assert cKDTree(ridge).query(feet)[0].max() < 4.0
 
 
+@pytest.mark.full
 def test_another_part_stays_refused():
     def other(x, y):
         """The same swell with other features elsewhere."""

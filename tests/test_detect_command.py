@@ -1,6 +1,7 @@
 """`grindvision detect`: files in, files out, and every bad input in one line with exit code 2."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -177,6 +178,7 @@ def model_files(folder):
     write_ply(folder / "points.ply", points)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, tmp_path, capsys):
     """With the field, bent scans give the result of true ones; a model, which no scanner bent, stays as it is."""
     folder, case = scene
@@ -188,6 +190,7 @@ def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, 
     for name, true in (("sample", case.sample), ("test", case.test)):
         write_ply(tmp_path / f"{name}.ply", true * (1 + field.error_mm(true) / true[:, 2])[:, None])
 
+    @cache
     def found(*words):
         code, _, error = run(capsys, *words, "-o", tmp_path / "out")
         assert code == 0, error

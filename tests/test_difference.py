@@ -137,6 +137,7 @@ def test_a_cavity_is_no_bead_but_is_said():
     assert np.nanmin(found.difference.signed_mm) < -1
 
 
+@pytest.mark.full
 def test_another_part_is_refused(case):
     def other(x, y):
         return plate_height(x, y) + 4 * np.sin(x / 9) * np.cos(y / 7)

@@ -33,7 +33,9 @@ from grindvision.result_set import write_set
 from grindvision_book.machinery.figures import markdown_table
 from grindvision_book.machinery.one_at_a_time import only_build
 from grindvision_book.studies.rows import RowsFile
-from tests.doors_law import ENDLESS, PATIENCE_S, blank_pictures, command, good, obeys, quickly, wait_for  # noqa: F401
+from tests.doors_law import ENDLESS, PATIENCE_S, command, good, obeys, quickly, wait_for  # noqa: F401
+
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 # What is no plain file
 
@@ -219,7 +221,7 @@ def test_a_message_is_one_short_line_that_a_terminal_can_show(text):
     assert str(InputError(text)) == clipped(text)
 
 
-@pytest.mark.parametrize("door", ["groove", "detect"])
+@pytest.mark.parametrize("door", ["groove", pytest.param("detect", marks=pytest.mark.full)])
 def test_names_that_are_no_text(good, tmp_path, door):
     """Latin-1 bytes, markup, formulas and terminal commands in the names of inputs and of the folder of results."""
     odd = os.fsdecode(b"caf\xe9 <b>&amp; $x_{ \x1b[31m ")
@@ -294,7 +296,15 @@ def test_a_signal_while_folders_are_made_leaves_none(tmp_path, monkeypatch, mome
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("closing", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true", "2>/dev/full"])
+@pytest.mark.parametrize(
+    "closing",
+    [
+        "<&- >&- 2>&-",
+        "| true",
+        "2>/dev/full",
+        *(pytest.param(one, marks=pytest.mark.full) for one in (">&-", "2>&-", ">&- 2>&-")),
+    ],
+)
 def test_closed_streams_change_neither_the_results_nor_the_exit_code(good, tmp_path, closing):
     run = (
         f"{sys.executable} -m grindvision calibrate {good / 'm.csv'} --robot {good / 'r.csv'}"
@@ -501,7 +511,10 @@ def test_an_unreadable_file_as_a_plain_user(good, tmp_path):
 # Signals
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.full) for number in (signal.SIGINT, signal.SIGHUP))],
+)
 def test_a_signal_ends_a_study_with_its_own_code_and_all_finished_rows(tmp_path, number):
     """The signal goes to the whole group, as from a keyboard or a closed terminal; no worker says a word either."""
     rows = tmp_path / "rows.csv"
@@ -722,7 +735,7 @@ def test_a_pose_without_translation_is_refused(tmp_path):
         read_pose(tmp_path / "pose.json")
 
 
-@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("axis", ["x", *(pytest.param(axis, marks=pytest.mark.full) for axis in "yz")])
 def test_a_left_handed_scan_read_as_such_gives_the_same_answer(good, obeys, tmp_path, axis):
     signs = np.where(np.array(list("xyz")) == axis, -1.0, 1.0)
     for name in ("sample", "test"):

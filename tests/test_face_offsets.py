@@ -20,6 +20,8 @@ from grindvision.vision.surface import faces
 from grindvision.vision.surface.faces import label_faces
 from grindvision.vision.surface.surfels import build_surfels
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 T_SAMPLE_PART = rigid(rotation_about([1.0, 0.2, 0.1], np.pi + 0.35), (4.0, -3.0, 420.0))
 T_TEST_PART = rigid(
     rotation_about([1.0, -0.3, 0.15], np.pi - 0.3) @ rotation_about([0, 0, 1.0], 0.5), (0.0, 6.0, 400.0)

@@ -11,6 +11,8 @@ from grindvision.cli.facing import FACES_CAMERA
 from grindvision.geometry import inverse, move_points, rigid
 from tests.grinding_scene import arc_bead, pair
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 T_BASE_PART = rigid(None, (50.0, 20.0, 400.0))
 """The plate lies over the arm's foot, seen from above."""
 

@@ -135,7 +135,7 @@ def test_a_bead_that_a_gap_cuts_into_specks_is_told_and_specks_apart_are_none(pl
         assert (len(found), len(specks)) == (told, 2 - told)
 
 
-@pytest.mark.parametrize("wide", [0.5, 1.4])
+@pytest.mark.parametrize("wide", [1.4, pytest.param(0.5, marks=pytest.mark.full)])
 def test_flash_in_line_with_a_face_is_told_from_the_width_that_is_stated(wide):
     views = [looking_at(MIDDLE, 0.7, azimuth) for azimuth in (-1.9, -1.4)]
     rng = np.random.default_rng(3)

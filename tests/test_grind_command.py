@@ -66,6 +66,7 @@ def test_a_scan_after_the_passes_is_judged(folder, capsys, tmp_path):
     assert "passes.csv" not in report["files"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_tolerance_that_is_not_met_ends_with_three_and_the_rest_is_planned(folder, capsys):
     code, out, _ = told(capsys, "--again", folder / "job", folder / "begun.ply", "--tolerance-mm", "0.25")
     assert code == 3 and "not met" in out and "the rest" in out
@@ -152,6 +153,7 @@ def test_what_cannot_be_ground_is_named_in_one_line(folder, capsys, monkeypatch,
     assert not (folder / "x").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_robot_drives_the_passes_where_the_controller_s_pose_and_the_camera_on_its_flange_put_them(
     folder, capsys, tmp_path
 ):

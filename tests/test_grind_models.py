@@ -70,6 +70,7 @@ def test_the_bead_over_a_model_is_found_with_its_volume(folder):
     assert volume_mm3(folder / "job") == pytest.approx(true_mm3, rel=0.05)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_scan_after_too_little_is_judged_against_the_model_and_the_rest_is_planned(folder, tmp_path):
     code, report = again(folder, tmp_path / "begun", folder / "begun.ply")
     (piece,) = report["pieces"]
@@ -85,6 +86,7 @@ def test_a_scan_after_the_passes_meets_the_tolerance_over_the_model(folder, tmp_
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures("blank_pictures")
 def test_datum_and_field_of_the_scanner_go_through_to_the_stock(folder, tmp_path, capsys):
     """A scan that the scanner bent gives, with its field, the stock of the straight one; the model stays as it is."""
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 41), np.linspace(-0.5, 0.5, 41), indexing="ij")

@@ -82,6 +82,7 @@ def test_a_skin_comes_off_a_face_of_a_bent_plate_and_nothing_beside_it(twisted, 
         grind_again(job, sample, test)
 
 
+@pytest.mark.full
 def test_a_piece_that_may_be_bending_is_ground_where_the_engineer_says_that_it_is_stock(monkeypatch):
     """A bead along the plate's rim, which the scans do not tell from a bent rim."""
     line = np.column_stack([np.linspace(-60.0, 20.0, 400), np.full(400, -67.5)])

@@ -126,7 +126,7 @@ def test_a_ridge_of_one_node_that_stands_above_the_tolerance_is_seen(rng):
     assert judge_remaining(piece(work, noise + 0.05, 0.02), 0.15).met  # noise is no ridge
 
 
-@pytest.mark.parametrize("factor", [0.95, 0.97])
+@pytest.mark.parametrize("factor", [0.95, pytest.param(0.97, marks=pytest.mark.full)])
 def test_a_coefficient_that_is_only_bounded_is_not_below_its_bound(rng, factor):
     work = flat_work(height=lambda x, y: 0.4 * np.clip(1 - ((y - 15) / 3) ** 2, 0, None) * ((x > 15) & (x < 45)))
     plan = plan_grinding(work, GrindingOptions(depth_mm=0.1, width_mm=6.0))

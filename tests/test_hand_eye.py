@@ -310,7 +310,9 @@ def folder_of_parts(folder, mounted="on-arm", n=5, **kind):
     return [str(folder / "poses.txt"), *views, "--target", "part", "--rotation", "fanuc", "--mounted", mounted]
 
 
-@pytest.mark.parametrize(("mounted", "parent"), [("on-arm", "flange"), ("fixed", "base")])
+@pytest.mark.parametrize(
+    ("mounted", "parent"), [("on-arm", "flange"), pytest.param("fixed", "base", marks=pytest.mark.full)]
+)
 def test_the_part_itself_tells_where_the_camera_is(tmp_path, mounted, parent):
     words = folder_of_parts(tmp_path, mounted)
     assert main(["hand-eye", *words, "-o", str(tmp_path / "camera")]) == 0

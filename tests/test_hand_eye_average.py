@@ -114,7 +114,7 @@ def an_arm_with_wrong_zeros(rng, n):
     return forward(arm, q), true @ small_motions(rng, n, 0.02, np.radians(rng.uniform(0.003, 0.03)))
 
 
-@pytest.mark.parametrize("kind", [independent, an_arm_with_wrong_zeros])
+@pytest.mark.parametrize("kind", [pytest.param(independent, marks=pytest.mark.full), an_arm_with_wrong_zeros])
 def test_stated_sigmas_hold_over_many_sequences(kind):
     off = []
     for seed in range(40):
@@ -132,7 +132,7 @@ def test_stated_sigmas_hold_over_many_sequences(kind):
     assert (in_sigmas < 3).mean() >= 0.97
 
 
-@pytest.mark.parametrize("mounted", ["on-arm", "fixed"])
+@pytest.mark.parametrize("mounted", ["on-arm", pytest.param("fixed", marks=pytest.mark.full)])
 def test_stated_sigmas_of_a_sphere_hold_over_many_sequences(mounted):
     """Errors of the arm's rotation move the sphere over the lever to it: more than errors of the place alone would."""
     off = []

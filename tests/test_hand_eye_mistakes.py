@@ -21,6 +21,8 @@ from tests.hand_eye_scene import (
     three_spheres_view,
 )
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 N = 7
 TARGETS = {
     "sphere": "sphere:38.1",

@@ -16,6 +16,8 @@ from grindvision.errors import AmbiguousError, DegenerateError, InputError
 from grindvision.geometry import angle_between, inverse, rigid, rotation_about
 from tests.hand_eye_scene import TARGET, X, looking_poses, plate_view, seen_poses, sphere_view, three_spheres_view
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 SIDES = (160.0, 110.0)
 
 
@@ -54,9 +56,9 @@ def test_order_of_points_and_of_sides_moves_the_plate_by_less_than_its_error():
 
 def test_another_size_or_a_plate_that_is_cut_is_refused_with_what_was_seen():
     rng, _, views = scene(6, 1)
+    whole = plate_view(views[0], rng, n=2000)
     with pytest.raises(DegenerateError, match=r"no rectangular plate of 200 x 100 mm.* measures 1\d\d x 1\d\d mm"):
-        find_plate(plate_view(views[0], rng), (200.0, 100.0), rng, "view")
-    whole = plate_view(views[0], rng)
+        find_plate(whole, (200.0, 100.0), rng, "view")
     local = (whole - views[0][:3, 3]) @ views[0][:3, :3]
     with pytest.raises(DegenerateError, match="all four edges"):
         find_plate(whole[local[:, 0] < 50], SIDES, rng, "view")
@@ -115,10 +117,10 @@ def test_other_spheres_in_a_view_are_named_and_two_are_too_few():
         find_three_spheres(sphere_view(np.array([0.0, 0, 400]), 19.05, rng), 38.1, rng, "view")
 
 
-def folder_of(folder, kind, mounted, n=7):
+def folder_of(folder, kind, mounted, n=7, of_plate=9000):
     rng, carrier, views = scene(11, n)
     for row, view in enumerate(views):
-        points = plate_view(view, rng) if kind == "board" else three_spheres_view(view, rng)[0]
+        points = plate_view(view, rng, n=of_plate) if kind == "board" else three_spheres_view(view, rng)[0]
         write_ply(folder / f"v{row}.ply", points)
     poses = carrier if mounted == "on-arm" else inverse(carrier)
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_euler("xyz", degrees=True)
@@ -140,7 +142,7 @@ def test_the_command_finds_the_camera_by_either_target(tmp_path, mounted, parent
 
 
 def test_misread_poses_of_a_plate_are_named_and_nothing_is_written(tmp_path, capsys):
-    words = folder_of(tmp_path, "board", "on-arm")
+    words = folder_of(tmp_path, "board", "on-arm", of_plate=2000)
     out = ["-o", str(tmp_path / "camera")]
     refused = {
         "xyz --angles deg": ["--target", "board:160x110", "--rotation", "kuka"],

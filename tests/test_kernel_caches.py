@@ -92,7 +92,7 @@ assert kernels.compiled == before, "compiled by a tool, not beforehand"
 
 
 def test_after_compile_no_tool_compiles(tmp_path):
-    scene = pair(seed=3, n_points=30_000, beads=[arc_bead()])
+    scene = pair(seed=3, n_points=12_000, beads=[arc_bead()])
     clouds = {"s": scene.sample, "t": scene.test, "g": straight_groove(np.random.default_rng(1))[0]}
     for name, points in clouds.items():
         write_ply(tmp_path / f"{name}.ply", points)

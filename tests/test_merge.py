@@ -112,6 +112,7 @@ def test_the_command_joins_the_views_where_the_part_is(tmp_path, mounted, frame)
     assert joined[:, 2].min() == pytest.approx(TARGET[2], abs=0.3)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_view_whose_pose_is_wrong_is_named(tmp_path, capsys):
     words = folder_of(tmp_path)
     rows = np.loadtxt(tmp_path / "poses.txt")
@@ -122,6 +123,7 @@ def test_a_view_whose_pose_is_wrong_is_named(tmp_path, capsys):
     assert "v1.ply" in told.out.split("worst pair")[1].split("within")[0]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_report_repeats_what_was_said_of_the_camera_before_the_run(tmp_path, capsys):
     words = folder_of(tmp_path)
     camera = json.loads((tmp_path / "camera.json").read_text())

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from scipy.spatial import cKDTree
 
 from grindvision.calibration.pose_conventions import convention
@@ -16,6 +17,8 @@ from tests.grinding_scene import arc_bead, plate_height
 from tests.groove_scenes import vee
 from tests.hand_eye_scene import TARGET, X, looking_poses
 from tests.test_hand_eye import rows_of
+
+pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 VIEWS, POINTS, NOISE_MM = 3, 14_000, 0.03
 
@@ -71,7 +74,7 @@ def test_groove_finds_the_seam_in_a_merged_cloud(tmp_path):
 
 def test_normals_of_the_file_tell_the_side_where_nothing_else_does(tmp_path, capsys):
     """A corner that opens downwards: without a word the side that looks up is taken."""
-    rng, n = np.random.default_rng(2), 9000
+    rng, n = np.random.default_rng(2), 4000
     along, across = rng.uniform(-80, 80, 2 * n), rng.uniform(0, 60, 2 * n)
     first = np.arange(2 * n) < n
     corner = np.column_stack([along, np.where(first, across, 0.0), np.where(first, 0.0, -across)])

@@ -22,6 +22,8 @@ from grindvision.vision.surface.model_surface import model_surface, scan_seen_fr
 from grindvision.vision.surface.ray_casting import blocked, ray_tree
 from grindvision.vision.surface.scan import Resolution
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 BOX_FACES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
 BOX_TRIANGLES = np.concatenate([BOX_FACES[:, [0, 1, 2]], BOX_FACES[:, [0, 2, 3]]])
@@ -372,7 +374,7 @@ def path_error(scene, points):
     return np.linalg.norm(points[:, None] - scene[1].ridge_mm[None], axis=2).min(axis=1).max()
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(2, 10))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 10))])
 def test_a_closed_model_and_a_one_sided_scan_give_the_bead_at_every_seed(scene, seed):
     found = detect(scene[0], scene[1].test.points, DetectOptions(seed=seed))
     assert pose_error(scene, found.T_sample_test) < 0.3
@@ -522,7 +524,9 @@ def test_a_plate_is_held_by_its_outline_and_holes(holes):
 
 
 @pytest.mark.parametrize(
-    ("kind", "change", "seeds"), [("gear", "bead", [1302, 26]), ("flange", "pit", [1303, 4])], ids=["gear", "flange"]
+    ("kind", "change", "seeds"),
+    [("gear", "bead", [1302, 26]), pytest.param("flange", "pit", [1303, 4], marks=pytest.mark.full)],
+    ids=["gear", "flange"],
 )
 def test_a_wheel_is_not_placed_some_teeth_or_holes_away_on_its_model(kind, change, seeds):
     """Turned over, it fits nearly as well about any axis in its plane: what leads from one of those poses to another is

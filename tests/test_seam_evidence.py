@@ -28,7 +28,7 @@ def blotched(rng, rows=160, columns=200, spacing=0.8, noise_mm=0.5, alike_px=1.5
     return x - x.mean(), y - y.mean(), noise_mm * errors / errors.std()
 
 
-@pytest.mark.parametrize("seed", [1, 3, 7])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (3, 7))])
 def test_the_blotches_of_a_camera_on_a_flat_plate_are_no_groove(seed):
     x, y, errors = blotched(np.random.default_rng(seed))
     with pytest.raises(NoGrooveError):
@@ -97,7 +97,7 @@ def test_members_are_numbers_of_the_cloud_with_its_empty_pixels():
     assert weld.labels[groove.members].all() and len(groove.members) == weld.labels.sum()
 
 
-@pytest.mark.parametrize("seed", [0, 3, 6])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in (3, 6))])
 def test_a_sheet_bent_as_narrowly_as_its_noise_allows_is_no_corner(seed):
     assert look_at_bend(15.0, 0.4, 1.0, seed) is None
 

@@ -1,6 +1,7 @@
 """``grindvision simulate``: the files are there, belong together, and repeat byte for byte."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,6 +11,19 @@ from grindvision.cli import main
 from grindvision.clouds import read_cloud
 from grindvision.files import read_table, sha256
 from grindvision.geometry import check_rigid, move_points
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Function that simulates a subject from seed 5, once, and returns its folder."""
+
+    @cache
+    def folder_of(subject):
+        folder = tmp_path_factory.mktemp(subject) / "made"
+        assert main(["simulate", subject, "-o", str(folder), "--seed", "5"]) == 0
+        return folder
+
+    return folder_of
 
 
 @pytest.mark.parametrize(
@@ -27,21 +41,22 @@ from grindvision.geometry import check_rigid, move_points
         ("calibration", ["measurements.csv", "robot.csv", "truth.json"]),
     ],
 )
-def test_files_belong_together_and_the_same_seed_gives_the_same_bytes(tmp_path, subject, files):
-    for folder in ("a", "b"):
-        assert main(["simulate", subject, "-o", str(tmp_path / folder), "--seed", "5"]) == 0
+def test_files_belong_together_and_the_same_seed_gives_the_same_bytes(tmp_path, simulated, request, subject, files):
+    made = simulated(subject)
+    request.getfixturevalue("blank_pictures")
+    assert main(["simulate", subject, "-o", str(tmp_path / "again"), "--seed", "5"]) == 0
     for name in files:
-        assert sha256(tmp_path / "a" / name) == sha256(tmp_path / "b" / name), name
+        assert sha256(made / name) == sha256(tmp_path / "again" / name), name
     assert not list(tmp_path.rglob(".*"))
     check = {"grinding": check_grinding, "welding": check_welding, "calibration": check_calibration}[subject]
-    check(tmp_path / "a")
+    check(made)
 
 
-def test_another_seed_gives_another_experiment(tmp_path):
-    for seed in ("5", "6"):
-        assert main(["simulate", "calibration", "-o", str(tmp_path / seed), "--seed", seed]) == 0
-    assert sha256(tmp_path / "5" / "measurements.csv") != sha256(tmp_path / "6" / "measurements.csv")
-    assert sha256(tmp_path / "5" / "robot.csv") == sha256(tmp_path / "6" / "robot.csv")
+def test_another_seed_gives_another_experiment(tmp_path, simulated, blank_pictures):
+    made = simulated("calibration")
+    assert main(["simulate", "calibration", "-o", str(tmp_path), "--seed", "6"]) == 0
+    assert sha256(made / "measurements.csv") != sha256(tmp_path / "measurements.csv")
+    assert sha256(made / "robot.csv") == sha256(tmp_path / "robot.csv")
 
 
 def check_grinding(folder):

@@ -9,6 +9,8 @@ from grindvision.cli import main
 from grindvision.errors import DegenerateError
 from tests.test_hand_eye import folder_of_views
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 CENTRE = np.array([10.0, -20.0, 400.0])
 
 

@@ -114,15 +114,20 @@ def test_a_wrong_pair_is_dropped_because_its_loops_do_not_close(monkeypatch):
     assert worst(found, poses)[1] < 0.1
 
 
-def test_a_view_of_another_part_is_left_out_and_told():
-    poses, clouds = seen(2, 4)
+@pytest.mark.parametrize(
+    ("n", "pairs"),
+    [(3, [(0, 1), (0, 2), (1, 2), (2, 3)]), pytest.param(4, None, marks=pytest.mark.full)],
+    ids=["one pair with it", "all pairs"],
+)
+def test_a_view_of_another_part_is_left_out_and_told(n, pairs):
+    poses, clouds = seen(2, n)
     rng = np.random.default_rng(7)
     other = rng.normal(size=(3000, 3))
     clouds.append(60 * other / np.linalg.norm(other, axis=1)[:, None] * [1, 0.4, 0.2] + [0, 0, 400])
-    with pytest.warns(GrindvisionWarning, match="view 5 cannot be tied"):
-        found = register_views(clouds)
-    assert found.found.tolist() == [0, 1, 2, 3]
-    assert np.isnan(found.T_part_view[4]).all()
+    with pytest.warns(GrindvisionWarning, match=f"view {n + 1} cannot be tied"):
+        found = register_views(clouds, pairs=pairs)
+    assert found.found.tolist() == [*range(n)]
+    assert np.isnan(found.T_part_view[n]).all()
     assert worst(found, poses)[1] < 0.1
 
 

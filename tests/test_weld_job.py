@@ -214,7 +214,7 @@ def test_from_calibration_to_a_woven_weld_with_the_calibrated_arm(tmp_path, caps
     from grindvision.motion import welding_torch
 
     arm_file = calibrated_cell(tmp_path)
-    scene = weld_scene("line", np.random.default_rng(3), every=2)
+    scene = weld_scene("line", np.random.default_rng(3), every=3)
     np.save(tmp_path / "cloud.npy", scene.points)
     T_base_piece = rigid([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [300.0, 0.0, 12.0])
     T_base_scanner = T_base_piece @ scene.scan.T_world_scanner

@@ -77,7 +77,7 @@ def site(wheel) -> Path:
 @pytest.fixture(scope="session")
 def inputs(tmp_path_factory) -> Path:
     folder, rng = tmp_path_factory.mktemp("inputs"), np.random.default_rng(1)
-    case = pair(seed=11, n_points=60_000, beads=[arc_bead()])
+    case = pair(seed=11, n_points=20_000, beads=[arc_bead()])
     write_ply(folder / "sample.ply", case.sample)
     write_ply(folder / "test.ply", case.test)
     write_ply(folder / "groove.ply", straight_groove(rng)[0])

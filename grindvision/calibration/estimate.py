@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,7 +241,7 @@ def estimate_sigmas(
             explained.append((pulls[group] ** 2).sum())
             expected.append(((1 - variances[group] / widths[group] ** 2) / widths[group] ** 2).sum())
         factors = np.sqrt(np.sqrt(np.maximum(explained, 1e-60) / np.maximum(expected, 1e-60)))
-        old = np.array(astuple(sigmas))
+        old = np.array([getattr(sigmas, field.name) for field in fields(sigmas)])
         new = old * np.clip(factors, 1e-3, 1e3)
         new[:2] = np.maximum(new[:2], [SMALLEST_MM, SMALLEST_RAD])
         new[2:] = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ class Unknowns:
     reflectors: tuple[str, ...] = ()
     fixtures: tuple[tuple[str, str], ...] = ()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """One name with unit per unknown, in column order."""
         motion = [[f"{part}_{name}" for name in _MOTION] for part in ("scanner", "base")]
@@ -54,10 +55,12 @@ class Unknowns:
             *motion[1][: self.base],
         )
 
-    @property
+    @cached_property
     def is_angle(self) -> NDArray[np.bool_]:
         """Flags (K,) of the unknowns measured in radians."""
-        return np.array([name.endswith("_rad") for name in self.names], dtype=bool)
+        flags = np.array([name.endswith("_rad") for name in self.names], dtype=bool)
+        flags.setflags(write=False)  # kept
+        return flags
 
     @property
     def in_table(self) -> NDArray[np.bool_]:

@@ -36,9 +36,10 @@ def run(_: argparse.Namespace) -> int:
     """Run it."""
     from grindvision import kernels
     from grindvision.cli import main
+    from grindvision.cli.pictures import without_pictures
 
     before = kernels.compiled
-    with tempfile.TemporaryDirectory() as folder, _bar():
+    with tempfile.TemporaryDirectory() as folder, without_pictures(), _bar():
         for number, words in enumerate(_works(Path(folder))):
             said = io.StringIO()
             with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):

@@ -189,8 +189,9 @@ def _where_found(
             rows.append(row)
         except DegenerateError as refusal:
             refused.append(refusal)
-    if refused and (2 * len(rows) < count or len(rows) < FEWEST_FOUND):
-        raise refused[0]
+            most = count - len(refused)
+            if 2 * most < count or most < FEWEST_FOUND:  # whatever the views show that are left
+                raise refused[0] from None
     for reason in refused:
         warnings.warn(f"left out: {reason}", GrindvisionWarning, stacklevel=2)
     return found, rows

@@ -27,7 +27,7 @@ def drawing_beside(module: str) -> Callable[..., None]:
     a second core, where nobody started this process for one command, or it runs threads, this is ``drawing``.
     """
     alone = own_process.ours and threading.active_count() == 1
-    if not (alone and sys.platform == "linux" and usable_cores() > 1):
+    if not (pictures.are_wanted() and alone and sys.platform == "linux" and usable_cores() > 1):
         return pictures.drawing(module)
     try:
         return _Draughtsman(module)

@@ -19,6 +19,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+#: Whether pictures are drawn at all; see ``without_pictures``.
+_wanted = True
+
+
+@contextmanager
+def without_pictures() -> Iterator[None]:
+    """Inside the block the tools leave their pictures out without a word: nobody looks at them."""
+    global _wanted
+    _wanted = False
+    try:
+        yield
+    finally:
+        _wanted = True
+
+
+def are_wanted() -> bool:
+    """Whether pictures are drawn."""
+    return _wanted
+
+
 def loaded(module: str) -> Any:
     """A module of this folder that draws.
 
@@ -31,6 +51,8 @@ def loaded(module: str) -> Any:
 
 def drawing(module: str) -> Callable[..., None]:
     """Function ``draw`` of a module of this folder; without the extra ``plot``, one that warns and draws nothing."""
+    if not _wanted:
+        return lambda *_: None
     try:
         return loaded(module).draw
     except MissingExtraError as error:

@@ -31,13 +31,16 @@ def write_reference(folder: Path) -> None:
 
 def _room_page(room: str) -> str:
     parts = [f"# grindvision.{room}\n", _summary(PACKAGE / room / "__init__.py") + "\n"]
-    for module in sorted((PACKAGE / room).rglob("*.py")):
+    for module in public_modules_of(room):
         inner = module.relative_to(PACKAGE / room).with_suffix("").parts
-        if module.stem.startswith("_"):
-            continue
         parts.append(f"## {'.'.join(inner)}\n")
         parts.append(f"```{{eval-rst}}\n.. automodule:: grindvision.{room}.{'.'.join(inner)}\n   :members:\n```\n")
     return "\n".join(parts)
+
+
+def public_modules_of(room: str) -> list[Path]:
+    """Files of a room's public modules, in the order of its page."""
+    return [module for module in sorted((PACKAGE / room).rglob("*.py")) if not module.stem.startswith("_")]
 
 
 def _summary(module: Path) -> str:
