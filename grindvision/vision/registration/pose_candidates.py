@@ -18,11 +18,12 @@ from grindvision.vision.registration.agreement import Agreement, agreeing_fracti
 from grindvision.vision.registration.depth_image import depth_image
 from grindvision.vision.registration.evidence import AGREES, Evidence, judge, side
 from grindvision.vision.registration.global_registration import distinct_poses
+from grindvision.vision.registration.held_motion import icp_across
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.surface.rims import point_spacing
 from grindvision.vision.surface.scan import Scan
-from grindvision.vision.surface.surfels import Surfels
+from grindvision.vision.surface.surfels import same_within
 
 Floats = NDArray[np.float64]
 
@@ -180,6 +181,23 @@ class PoseJudge:
             return None
         return Candidate(found, self.evidence(found.T_target_source).cost(), one.free)
 
+    def at_rest_across(self, candidates: Iterable[Candidate], twists: Floats) -> list[Candidate]:
+        """``at_rest``, but along none of ``twists`` (6, K), which are about the centre of each one's registration;
+        those where the scans do not meet are left out."""
+        reach, floor = 1.5 * self.fine.grid.size_mm, self.within_mm / 3
+
+        def rested(one: Candidate) -> Candidate | None:
+            centre = one.found.centre_mm
+            try:
+                found = icp_across(
+                    self.points, self.normals, self.fine, one.pose, twists, centre, self.extent, reach, floor
+                )
+            except DegenerateError:
+                return None
+            return Candidate(found, self.evidence(found.T_target_source).cost(), one.free)
+
+        return [one for one in parallel_map(rested, candidates) if one]
+
     def settled(self, candidates: Iterable[Candidate], kept: int = 4) -> list[Candidate]:
         """The best few distinct candidates, brought to rest with more surfels, best first."""
         chosen = self.distinct(candidates)[:kept]
@@ -266,9 +284,3 @@ def principal_axes(points: Floats) -> Floats:
     _, axes = np.linalg.eigh(np.cov(points.T))
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return np.asarray(axes)
-
-
-def same_within(source: Surfels, target: Surfels) -> float:
-    """Distance in mm within which two surfaces count as the same: their roughness, and a little of the cell size."""
-    rough = np.hypot(np.median(source.roughness_mm), np.median(target.roughness_mm))
-    return float(3 * rough + 0.1 * target.grid.size_mm)

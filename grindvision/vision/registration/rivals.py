@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from grindvision.geometry import angle_between, inverse, rigid, rotation_about, rotation_axis, small_motion
 from grindvision.parallel import parallel_map
 from grindvision.vision.registration.global_registration import distinct_poses
+from grindvision.vision.registration.held_motion import SLIDING, weak_twists
 from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
 
 Floats = NDArray[np.float64]
@@ -35,13 +36,12 @@ for some step up to ``MAX_FOLDS`` at times."""
 CONTRADICTED = 0.0005
 """Fraction of surfels in front of what the other scanner saw above which turns about the principal axes are tried."""
 
-SLIDING = 0.002
-"""Along a motion that so small a part of the surface resists, ICP finds no place of its own: poses all along it are
-judged as they are."""
-
 OVERLAPS = 0.6
 """A pose of which a smaller part agrees than this share of what agrees at the best one is no rival: beside each other,
 scans never contradict."""
+
+OVERLAPS_LESS = 0.4
+"""The same share where something contradicts the best pose: one that turns it out of sight overlaps less."""
 
 SETTLED = 6
 """So many of the rivals that are found at once are brought to rest."""
@@ -99,11 +99,7 @@ def is_contradicted(judge: PoseJudge, best: Candidate) -> bool:
 
 def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
     """Twists (6, K) about the best pose's centre, mm and rad, that less than this part of the surface resists."""
-    scale = np.array([1, 1, 1, 1 / judge.extent, 1 / judge.extent, 1 / judge.extent])
-    information = best.found.information * np.outer(scale, scale)
-    values, directions = np.linalg.eigh(information)
-    weak = values < below * np.trace(information[:3, :3])
-    return directions[:, weak][:, :3] * scale[:, None]
+    return weak_twists(best.found, judge.extent, below)
 
 
 def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
@@ -191,20 +187,29 @@ def _folds(angles_rad: Sequence[float]) -> int:
 
 
 def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
-    """The likeliest poses all along the motions that next to nothing resists, judged without ICP, which would slide."""
-    to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
+    """The likeliest poses all along the motions that next to nothing resists, without ICP, which would slide; but of
+    turns, whose axis is known a little wrongly, brought to rest across these motions.
+
+    Where something contradicts the best pose, poses of less overlap count, too, at which nothing is seen of it.
+    """
+    centre = best.found.centre_mm
+    to_centre, back = rigid(None, -centre), rigid(None, centre)
     steps = np.concatenate([np.arange(-MOTION_STEPS, 0), np.arange(1, MOTION_STEPS + 1)])
-    poses = []
-    for twist in weak_motions(judge, best, SLIDING).T:
+    twists = weak_motions(judge, best, SLIDING)
+    poses, turned = [], []
+    for twist in twists.T:
         turn = float(np.linalg.norm(twist[3:]))
-        step = np.pi / MOTION_STEPS / turn if turn * judge.extent > 0.5 else 2 * judge.extent / MOTION_STEPS
+        turns = turn * judge.extent > 0.5
+        step = np.pi / MOTION_STEPS / turn if turns else 2 * judge.extent / MOTION_STEPS
         poses += [back @ small_motion(at * step * twist) @ to_centre @ best.pose for at in steps]
-    least = OVERLAPS * judge.evidence(best.pose).met
-    poses = [pose for pose, seen in zip(poses, parallel_map(judge.evidence, poses), strict=True) if seen.met > least]
-    slid = [
-        Candidate(replace(best.found, T_target_source=pose), judge.evidence(pose).cost(), free=True) for pose in poses
-    ]
-    return sorted(slid, key=lambda one: one.cost)[:kept]
+        turned += [turns] * len(steps)
+    share = OVERLAPS_LESS if is_contradicted(judge, best) else OVERLAPS
+    least = share * judge.evidence(best.pose).met
+    seen = parallel_map(judge.evidence, poses)
+    likely = [at for at in np.argsort([one.cost() for one in seen], kind="stable") if seen[at].met > least][:kept]
+    slid = {at: Candidate(replace(best.found, T_target_source=poses[at]), seen[at].cost(), free=True) for at in likely}
+    rested = judge.at_rest_across([one for at, one in slid.items() if turned[at]], twists)
+    return [*(one for at, one in slid.items() if not turned[at]), *rested]
 
 
 def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:
