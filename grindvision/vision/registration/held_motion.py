@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +29,22 @@ ROUNDS, STEPS = 3, 6
 """So often is the slide taken back, each time after so many steps of ICP."""
 
 
-def weak_twists(found: FineRegistration, extent_mm: float, below: float) -> Floats:
-    """Twists (6, K) about the centre of a registration, mm and rad, that less than this part of the surface resists,
-    orthonormal where rotations count at ``extent_mm`` from it."""
+class Held(NamedTuple):
+    """Motions that are held: ``twists`` (6, K), mm and rad, about ``centre_mm`` (3,) in the target's frame, orthonormal
+    where rotations count at ``extent_mm`` from it."""
+
+    twists: Floats
+    centre_mm: Floats
+    extent_mm: float
+
+
+def weak_motions_of(found: FineRegistration, extent_mm: float, below: float) -> Held:
+    """The motions about the centre of a registration that less than this part of the surface resists."""
     scale = np.array([1, 1, 1, 1 / extent_mm, 1 / extent_mm, 1 / extent_mm])
     information = found.information * np.outer(scale, scale)
     values, directions = np.linalg.eigh(information)
     weak = values < below * np.trace(information[:3, :3])
-    return np.asarray(directions[:, weak][:, :3] * scale[:, None])
+    return Held(np.asarray(directions[:, weak][:, :3] * scale[:, None]), found.centre_mm, extent_mm)
 
 
 def icp_across(
@@ -43,31 +52,27 @@ def icp_across(
     normals: Floats,
     target: Surfels,
     T_start: Floats,
-    twists: Floats,
-    centre_mm: Floats,
-    extent_mm: float,
-    reach_mm: float,
-    floor_mm: float,
+    held: Held,
+    limits_mm: tuple[float, float],
+    rounds: int = ROUNDS,
 ) -> FineRegistration:
-    """Point-to-plane ICP of points (N, 3) with normals (N, 3) that moves them along none of ``twists`` (6, K).
+    """Point-to-plane ICP of points (N, 3) with normals (N, 3) that moves them along no motion that is ``held``.
 
     Args:
-        T_start: the pose (4, 4) along the twists.
-        twists: as ``weak_twists`` of ``extent_mm`` gives them, about ``centre_mm`` (3,) in the target's frame.
-        reach_mm: pairs farther apart are not used.
-        floor_mm: floor of the residuals' spread.
+        T_start: the pose (4, 4) along these motions.
+        limits_mm: pairs farther apart are not used, and the floor of the residuals' spread.
 
     Raises:
         DegenerateError: the scans do not meet.
     """
-    scale = np.array([1, 1, 1, extent_mm, extent_mm, extent_mm])
-    held = twists * scale[:, None]
-    to_centre, back = rigid(None, -centre_mm), rigid(None, centre_mm)
+    scale = np.array([1, 1, 1, held.extent_mm, held.extent_mm, held.extent_mm])
+    along = held.twists * scale[:, None]
+    to_centre, back = rigid(None, -held.centre_mm), rigid(None, held.centre_mm)
     pose = T_start
-    for _ in range(ROUNDS):
-        found = icp_planes(points, normals, target, pose, reach_mm, floor_mm, iterations=STEPS)
-        motion = twist_between(T_start, found.T_target_source, centre_mm) * scale
-        across = (motion - held @ (held.T @ motion)) / scale
+    for _ in range(rounds):
+        found = icp_planes(points, normals, target, pose, *limits_mm, iterations=STEPS)
+        motion = twist_between(T_start, found.T_target_source, held.centre_mm) * scale
+        across = (motion - along @ (along.T @ motion)) / scale
         pose = back @ small_motion(across) @ to_centre @ T_start
     return replace(found, T_target_source=pose)
 
@@ -80,15 +85,15 @@ def hold_where_verified(
     every = max(1, len(source.surfels) // samples)
     points, normals = source.surfels.points[::every], source.surfels.normals[::every]
     away = move_points(found.T_target_source, points) - move_points(verified, points)
-    extent, centre = rms_extent(points), found.centre_mm
+    extent = rms_extent(points)
     if np.linalg.norm(away, axis=1).max() < SLID * extent:
         return found
-    twists = weak_twists(found, extent, SLIDING)
-    if not twists.size:
+    held = weak_motions_of(found, extent, SLIDING)
+    if not held.twists.size:
         return found
-    reach, floor = 2 * target.surfels.grid.size_mm, same_within(source.surfels, target.surfels) / 3
-    across = icp_across(points, normals, target.surfels, verified, twists, centre, extent, reach, floor)
-    slide = twist_between(across.T_target_source, found.T_target_source, centre)
+    limits = 2 * target.surfels.grid.size_mm, same_within(source.surfels, target.surfels) / 3
+    across = icp_across(points, normals, target.surfels, verified, held, limits)
+    slide = twist_between(across.T_target_source, found.T_target_source, found.centre_mm)
     return replace(
         found, T_target_source=across.T_target_source, rms_mm=across.rms_mm, overlap=across.overlap,
         hidden_covariance=found.hidden_covariance + np.outer(slide, slide),

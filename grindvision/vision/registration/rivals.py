@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from grindvision.geometry import angle_between, inverse, rigid, rotation_about, rotation_axis, small_motion
 from grindvision.parallel import parallel_map
 from grindvision.vision.registration.global_registration import distinct_poses
-from grindvision.vision.registration.held_motion import SLIDING, weak_twists
+from grindvision.vision.registration.held_motion import SLIDING, weak_motions_of
 from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
 
 Floats = NDArray[np.float64]
@@ -99,7 +99,7 @@ def is_contradicted(judge: PoseJudge, best: Candidate) -> bool:
 
 def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
     """Twists (6, K) about the best pose's centre, mm and rad, that less than this part of the surface resists."""
-    return weak_twists(best.found, judge.extent, below)
+    return weak_motions_of(best.found, judge.extent, below).twists
 
 
 def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
@@ -188,28 +188,33 @@ def _folds(angles_rad: Sequence[float]) -> int:
 
 def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
     """The likeliest poses all along the motions that next to nothing resists, without ICP, which would slide; but of
-    turns, whose axis is known a little wrongly, brought to rest across these motions.
+    turns, whose axis is known a little wrongly, at rest across these motions.
 
     Where something contradicts the best pose, poses of less overlap count, too, at which nothing is seen of it.
     """
-    centre = best.found.centre_mm
-    to_centre, back = rigid(None, -centre), rigid(None, centre)
-    steps = np.concatenate([np.arange(-MOTION_STEPS, 0), np.arange(1, MOTION_STEPS + 1)])
-    twists = weak_motions(judge, best, SLIDING)
-    poses, turned = [], []
-    for twist in twists.T:
+    to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
+    held = weak_motions_of(best.found, judge.extent, SLIDING)
+    turned: list[Floats] = []
+    moved: list[Floats] = []
+    for twist in held.twists.T:
         turn = float(np.linalg.norm(twist[3:]))
-        turns = turn * judge.extent > 0.5
-        step = np.pi / MOTION_STEPS / turn if turns else 2 * judge.extent / MOTION_STEPS
-        poses += [back @ small_motion(at * step * twist) @ to_centre @ best.pose for at in steps]
-        turned += [turns] * len(steps)
+        if turn * judge.extent > 0.5:
+            for step in (np.pi / MOTION_STEPS / turn, -np.pi / MOTION_STEPS / turn):
+                motion = back @ small_motion(step * twist) @ to_centre
+                turned += judge.stepped_across(best.pose, motion, held, MOTION_STEPS)
+        else:
+            steps = 2 * judge.extent / MOTION_STEPS * np.arange(-MOTION_STEPS, MOTION_STEPS + 1)
+            moved += [back @ small_motion(step * twist) @ to_centre @ best.pose for step in steps if step]
     share = OVERLAPS_LESS if is_contradicted(judge, best) else OVERLAPS
-    least = share * judge.evidence(best.pose).met
+    least, poses = share * judge.evidence(best.pose).met, turned + moved
     seen = parallel_map(judge.evidence, poses)
     likely = [at for at in np.argsort([one.cost() for one in seen], kind="stable") if seen[at].met > least][:kept]
-    slid = {at: Candidate(replace(best.found, T_target_source=poses[at]), seen[at].cost(), free=True) for at in likely}
-    rested = judge.at_rest_across([one for at, one in slid.items() if turned[at]], twists)
-    return [*(one for at, one in slid.items() if not turned[at]), *rested]
+    slid = []
+    for at in likely:
+        one = Candidate(replace(best.found, T_target_source=poses[at]), seen[at].cost(), free=True)
+        rested = judge.at_rest_across(one, held) if at < len(turned) else one
+        slid += [rested] if rested else []
+    return slid
 
 
 def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:
