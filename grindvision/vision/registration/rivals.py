@@ -213,7 +213,8 @@ def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
     for at in likely:
         one = Candidate(replace(best.found, T_target_source=poses[at]), seen[at].cost(), free=True)
         rested = judge.at_rest_across(one, held) if at < len(turned) else one
-        slid += [rested] if rested else []
+        if rested and judge.evidence(rested.pose).met > least:
+            slid.append(rested)
     return slid
 
 
