@@ -18,6 +18,7 @@ from grindvision.geometry.neighbours import nearest
 from grindvision.records import by_content
 from grindvision.vision.registration.deformable import TUKEY, block_covariance
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.surface.faces import label_faces
 from grindvision.vision.surface.scan import Scan
 from grindvision.vision.surface.signed_distance import signed_distances
@@ -52,6 +53,10 @@ MIN_OFFSET = 5.0
 
 FIRST_SIGMA_CELLS = 0.5
 """Standard deviation in cells of what counts fully at first."""
+
+HELD = 2 * NORMAL_NOISE**2
+"""The pose is that of the other faces where every motion is resisted by more than this part of them, which the errors
+of the normals alone make up."""
 
 ABSORBED = 0.05
 """A face holds a motion alone where no more than this part of an offset of it shows in other residuals."""
@@ -121,6 +126,17 @@ class FaceReading:
         return tuple(said)
 
 
+@dataclass(frozen=True, eq=False)
+class _WithoutFace:
+    """A fit in which a face may be off: the share that ``agreed``, the ``registration`` by the other faces and whether
+    they have ``held`` it, and the face's ``offset``."""
+
+    agreed: float
+    registration: FineRegistration
+    offset: FaceOffset
+    held: bool
+
+
 class _Samples:
     """The source's samples against the target's faces."""
 
@@ -169,17 +185,17 @@ def read_faces(source: Scan, target: Scan, registration: FineRegistration, seed:
     if np.abs(medians).max() < AGREES * spread and spans.max() < AGREES * spread:
         return FaceReading(registration, (), True, None, sole)
     fits = [_fitted(samples, registration, int(one), large, spread) for one in large]
-    best = max(fits, key=lambda fit: fit[0])
-    if best[0] < share + MIN_GAIN:
+    best = max(fits, key=lambda fit: fit.agreed)
+    if best.agreed < share + MIN_GAIN:
         return FaceReading(registration, (), True, None, sole)
-    named = [fit for fit in fits if fit[0] > best[0] - NEARLY and _is_off(fit[2], spread)]
-    if not named:
+    named = [fit for fit in fits if fit.agreed > best.agreed - NEARLY and _is_off(fit.offset, spread)]
+    named.sort(key=lambda fit: -fit.agreed)
+    if not named or (len(named) == 1 and not named[0].held):
         return FaceReading(registration, (), True, None, sole)
-    named.sort(key=lambda fit: -fit[0])
-    off = tuple(offset for _, _, offset in named)
+    off = tuple(fit.offset for fit in named)
     if len(named) > 1:
         return FaceReading(registration, off, False, None, sole)
-    found = named[0][1]
+    found = named[0].registration
     surfels = source.surfels
     _, _, _, faces = samples.on(surfels.points, surfels.normals, found.T_target_source)
     return FaceReading(found, off, True, faces != off[0].face, sole)
@@ -215,8 +231,8 @@ def _sigma_within_faces(places: Floats, up: Floats, residuals: Floats, face: Int
 
 def _fitted(
     samples: _Samples, start: FineRegistration, one: int, large: Integers, spread: float, iterations: int = 6
-) -> tuple[float, FineRegistration, FaceOffset]:
-    """Share that agrees when a face may be off, the registration by the others, and the face's offset.
+) -> _WithoutFace:
+    """The fit when a face may be off.
 
     All samples count at first, those that do not agree less and less: faces that least squares has torn apart meet.
     """
@@ -251,7 +267,17 @@ def _fitted(
         start, T_target_source=transform, centre_mm=centre, covariance=covariance[:6, :6], rms_mm=spread,
         iterations=start.iterations + iterations,
     )  # fmt: skip
-    return agreed, registration, found
+    return _WithoutFace(agreed, registration, found, _is_held(information, places - centre))
+
+
+def _is_held(information: Floats, arms: Floats) -> bool:
+    """Whether what holds a pose beside a face's offset, by the information (7, 7) of both and the samples' ``arms``
+    (N, 3), resists every motion."""
+    extent = np.sqrt((arms**2).sum(axis=1).mean())
+    scale = np.array([1, 1, 1, 1 / extent, 1 / extent, 1 / extent])
+    rest = information[:6, :6] - np.outer(information[:6, 6], information[6, :6]) / max(information[6, 6], 1e-300)
+    resisted = np.linalg.eigvalsh(rest * np.outer(scale, scale))
+    return bool(resisted[0] > HELD * np.trace(rest[:3, :3]))
 
 
 def _weights(rest: Floats, spread: float) -> Floats:

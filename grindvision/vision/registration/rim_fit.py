@@ -117,29 +117,36 @@ def refine_by_rims(source: Scan, target: Scan, found: FineRegistration, verified
         return None
     nearby = FARTHEST * rms_extent(source.surfels.points)
     within = max(reach, min(REACH_SIGMAS * sigma, nearby))
-    planes = _Planes(source, target, found)
     starts = (found.T_target_source, verified)
-    fits = [fit for start in starts if (fit := _fitted(ours, theirs, planes, start, within)) is not None]
-    if not fits:
-        return None
-    best = max(fits, key=lambda fit: fit.agreeing)
-    pose, size = best.registration.T_target_source, target.surfels.grid.size_mm
-    if best.agreeing < MIN_AGREEING or _apart(pose, verified, ours.points) > nearby:
-        return None
-    if best.registration.rms_mm > max(MAX_WORSE * found.rms_mm, SAME_SURFACE * size):
-        return None
-    return best.registration
+    most = max(MAX_WORSE * found.rms_mm, SAME_SURFACE * target.surfels.grid.size_mm)
+    for planes in (_Planes(source, target, found), _Planes(source, target, found, across=True)):
+        fits = [fit for start in starts if (fit := _fitted(ours, theirs, planes, start, within)) is not None]
+        if not fits:
+            return None
+        best = max(fits, key=lambda fit: fit.agreeing)
+        if best.agreeing < MIN_AGREEING or _apart(best.registration.T_target_source, verified, ours.points) > nearby:
+            return None
+        if best.registration.rms_mm <= most:
+            return best.registration
+    return None
 
 
 class _Planes:
-    """What the planes say: the ``information`` (6, 6) of the pose that they gave, and a step towards them."""
+    """What the planes say: the ``information`` (6, 6) of the pose that they gave, and a step towards them.
 
-    def __init__(self, source: Scan, target: Scan, found: FineRegistration, samples: int = 6_000) -> None:
+    ``across``: what distortion may hide counts along the motion that they know least, and is carried over to the
+    result along the others, where rims would pull the faces apart.
+    """
+
+    def __init__(
+        self, source: Scan, target: Scan, found: FineRegistration, across: bool = False, samples: int = 6_000
+    ) -> None:
         every = max(1, len(source.surfels) // samples)
         chosen = np.argsort(source.surfels.grid.keys)[::every]
         self.points, self.normals = source.surfels.points[chosen], source.surfels.normals[chosen]
         self.target, self.found = target.surfels, found
-        prior = found.total_covariance
+        prior = _along_weakest(found, rms_extent(source.surfels.points)) if across else found.total_covariance
+        self.beside = found.total_covariance - prior
         prior = prior + 1e-12 * np.diag(np.diag(prior))
         self.information = np.linalg.pinv(prior, rcond=1e-14, hermitian=True)
 
@@ -160,6 +167,15 @@ class _Planes:
         extent = (arms**2).sum(axis=1).mean()
         information += NORMAL_NOISE**2 * weights.sum() * np.diag([1, 1, 1, extent, extent, extent])
         return -np.linalg.solve(information, rows.T @ (weights * residuals)), spread, float(met.mean())
+
+
+def _along_weakest(found: FineRegistration, extent: float) -> Floats:
+    """The ``covariance`` (6, 6) of a registration, and of its hidden one the part along the motion that is known
+    least, where rotations count at the extent in mm."""
+    scale = np.array([1, 1, 1, extent, extent, extent])
+    _, motions = np.linalg.eigh(found.total_covariance * np.outer(scale, scale))
+    along = motions[:, -1:] @ motions[:, -1:].T * np.outer(1 / scale, scale)
+    return np.asarray(found.covariance + along @ found.hidden_covariance @ along.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +211,11 @@ def _fitted(ours: Rims, theirs: Rims, planes: _Planes, start: Floats, within: fl
     own = _block_sums(matched.places, pulls)
     covariance = back @ (planes.information + own.T @ own) @ back
     mistaken = back @ (rows.T @ (weights[:, None] * matched.ways)) * INSET * spacing
+    carried = back @ planes.information
     _, rms, overlap = planes.step(pose)
     fine = replace(
         planes.found, T_target_source=pose, rms_mm=rms, overlap=overlap, covariance=covariance,
-        hidden_covariance=mistaken @ mistaken.T, by_rims=True,
+        hidden_covariance=mistaken @ mistaken.T + carried @ planes.beside @ carried.T, by_rims=True,
     )  # fmt: skip
     return _Fit(fine, float((sizes < spacing).sum() / len(ours)))
 

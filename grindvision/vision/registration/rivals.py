@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from grindvision.geometry import angle_between, inverse, rigid, rotation_about, rotation_axis, small_motion
 from grindvision.parallel import parallel_map
 from grindvision.vision.registration.global_registration import distinct_poses
+from grindvision.vision.registration.held_motion import SLIDING, weak_motions_of
 from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
 
 Floats = NDArray[np.float64]
@@ -35,13 +36,12 @@ for some step up to ``MAX_FOLDS`` at times."""
 CONTRADICTED = 0.0005
 """Fraction of surfels in front of what the other scanner saw above which turns about the principal axes are tried."""
 
-SLIDING = 0.002
-"""Along a motion that so small a part of the surface resists, ICP finds no place of its own: poses all along it are
-judged as they are."""
-
 OVERLAPS = 0.6
 """A pose of which a smaller part agrees than this share of what agrees at the best one is no rival: beside each other,
 scans never contradict."""
+
+OVERLAPS_LESS = 0.4
+"""The same share where something contradicts the best pose: one that turns it out of sight overlaps less."""
 
 SETTLED = 6
 """So many of the rivals that are found at once are brought to rest."""
@@ -99,11 +99,7 @@ def is_contradicted(judge: PoseJudge, best: Candidate) -> bool:
 
 def weak_motions(judge: PoseJudge, best: Candidate, below: float = WEAK) -> Floats:
     """Twists (6, K) about the best pose's centre, mm and rad, that less than this part of the surface resists."""
-    scale = np.array([1, 1, 1, 1 / judge.extent, 1 / judge.extent, 1 / judge.extent])
-    information = best.found.information * np.outer(scale, scale)
-    values, directions = np.linalg.eigh(information)
-    weak = values < below * np.trace(information[:3, :3])
-    return directions[:, weak][:, :3] * scale[:, None]
+    return weak_motions_of(best.found, judge.extent, below).twists
 
 
 def _rotated(judge: PoseJudge, best: Candidate, rotations: Sequence[Floats]) -> Floats:
@@ -191,20 +187,35 @@ def _folds(angles_rad: Sequence[float]) -> int:
 
 
 def _slid(judge: PoseJudge, best: Candidate, kept: int = 8) -> list[Candidate]:
-    """The likeliest poses all along the motions that next to nothing resists, judged without ICP, which would slide."""
+    """The likeliest poses all along the motions that next to nothing resists, without ICP, which would slide; but of
+    turns, whose axis is known a little wrongly, at rest across these motions.
+
+    Where something contradicts the best pose, poses of less overlap count, too, at which nothing is seen of it.
+    """
     to_centre, back = rigid(None, -best.found.centre_mm), rigid(None, best.found.centre_mm)
-    steps = np.concatenate([np.arange(-MOTION_STEPS, 0), np.arange(1, MOTION_STEPS + 1)])
-    poses = []
-    for twist in weak_motions(judge, best, SLIDING).T:
+    held = weak_motions_of(best.found, judge.extent, SLIDING)
+    turned: list[Floats] = []
+    moved: list[Floats] = []
+    for twist in held.twists.T:
         turn = float(np.linalg.norm(twist[3:]))
-        step = np.pi / MOTION_STEPS / turn if turn * judge.extent > 0.5 else 2 * judge.extent / MOTION_STEPS
-        poses += [back @ small_motion(at * step * twist) @ to_centre @ best.pose for at in steps]
-    least = OVERLAPS * judge.evidence(best.pose).met
-    poses = [pose for pose, seen in zip(poses, parallel_map(judge.evidence, poses), strict=True) if seen.met > least]
-    slid = [
-        Candidate(replace(best.found, T_target_source=pose), judge.evidence(pose).cost(), free=True) for pose in poses
-    ]
-    return sorted(slid, key=lambda one: one.cost)[:kept]
+        if turn * judge.extent > 0.5:
+            for step in (np.pi / MOTION_STEPS / turn, -np.pi / MOTION_STEPS / turn):
+                motion = back @ small_motion(step * twist) @ to_centre
+                turned += judge.stepped_across(best.pose, motion, held, MOTION_STEPS)
+        else:
+            steps = 2 * judge.extent / MOTION_STEPS * np.arange(-MOTION_STEPS, MOTION_STEPS + 1)
+            moved += [back @ small_motion(step * twist) @ to_centre @ best.pose for step in steps if step]
+    share = OVERLAPS_LESS if is_contradicted(judge, best) else OVERLAPS
+    least, poses = share * judge.evidence(best.pose).met, turned + moved
+    seen = parallel_map(judge.evidence, poses)
+    likely = [at for at in np.argsort([one.cost() for one in seen], kind="stable") if seen[at].met > least][:kept]
+    slid = []
+    for at in likely:
+        one = Candidate(replace(best.found, T_target_source=poses[at]), seen[at].cost(), free=True)
+        rested = judge.at_rest_across(one, held) if at < len(turned) else one
+        if rested and judge.evidence(rested.pose).met > least:
+            slid.append(rested)
+    return slid
 
 
 def _weak_axes(judge: PoseJudge, best: Candidate) -> list[Axis]:

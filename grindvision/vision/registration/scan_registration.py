@@ -18,25 +18,21 @@ from grindvision.records import by_content
 from grindvision.vision.registration.deformable import refine_bent
 from grindvision.vision.registration.free_motions import rms_extent
 from grindvision.vision.registration.global_registration import propose_poses
+from grindvision.vision.registration.held_motion import SLID, hold_where_verified
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.layered_scans import allow_for_layers
 from grindvision.vision.registration.pair_diagnostics import PairNames, check_same_unit, diagnose_table
 from grindvision.vision.registration.plane_icp import icp_planes
-from grindvision.vision.registration.pose_candidates import same_within
 from grindvision.vision.registration.pose_findings import LEFT_HANDED, warn_of_findings
 from grindvision.vision.registration.rim_fit import hold_by_rims
 from grindvision.vision.registration.verification import VerifiedPose, choose_pose
 from grindvision.vision.surface.scan import Scan, choose_resolution, prepare_pair, reversed_scan
 from grindvision.vision.surface.stray_points import stray_points
-from grindvision.vision.surface.surfels import build_surfels
+from grindvision.vision.surface.surfels import build_surfels, same_within
 from grindvision.words import counted
 
 Floats = NDArray[np.float64]
 Viewpoints = tuple[ArrayLike | None, ArrayLike | None]
-
-SLID = 0.03
-"""Fraction of the extent that the last ICP moves no point from a verified pose, which is told apart from others by 2 %;
-farther it has slid."""
 
 STAGES = ("features", "coarse", "verification", "icp")
 """What ``register`` does, in order."""
@@ -178,7 +174,9 @@ def register_pair(
         prepared_source, prepared_target, coarse = _first_alignment(source, target, viewpoints_mm, rng, clock)
         clock.lap("verification")
         fine = refine(prepared_source, prepared_target, coarse, rng.spawn(1)[0])
-        fine, held = hold_by_rims(prepared_source, prepared_target, fine, coarse.registration.T_target_source)
+        verified = coarse.registration.T_target_source
+        fine, held = hold_by_rims(prepared_source, prepared_target, fine, verified)
+        fine = fine if fine.by_rims else hold_where_verified(prepared_source, prepared_target, fine, verified)
         warn_of_findings(prepared_source, coarse, fine, names, held)
         fine = allow_for_layers(fine, {names.source: prepared_source, names.target: prepared_target})
     except DegenerateError as refusal:

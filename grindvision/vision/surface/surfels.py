@@ -202,3 +202,9 @@ def _fit_planes(
         )
         noise[c] = size * np.sqrt(max(along, 0.0) / (number - 1)) if number > 1 else roughness[c]
     return means, normals, noise, roughness
+
+
+def same_within(source: Surfels, target: Surfels) -> float:
+    """Distance in mm within which two surfaces count as the same: their roughness, and a little of the cell size."""
+    rough = np.hypot(np.median(source.roughness_mm), np.median(target.roughness_mm))
+    return float(3 * rough + 0.1 * target.grid.size_mm)
