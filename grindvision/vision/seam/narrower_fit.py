@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.records import by_content
-from grindvision.vision.seam.face_fit import (
-    FaceFit,
-    Faces,
-    Scale,
-    bent_at_root,
-    fit_faces,
-    intersections,
-    window_mm,
-)
+from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, fit_faces, intersections, window_mm
 from grindvision.vision.seam.seam_curve import SeamCurve
 from grindvision.vision.seam.seam_smoothing import smooth_along
 
@@ -30,9 +22,6 @@ NARROW = 0.75
 STILL_MISSED = 0.6
 #: A move is smoothed along the seam over so many cells.
 SMOOTHED_CELLS = 2.0
-#: Of a face's own bend at least this part is there too in a fit that begins a cell farther from the seam; of what a
-#: camera's blur makes of a corner a third.
-LASTING = 0.5
 
 
 @by_content
@@ -72,36 +61,18 @@ class NarrowerMove:
         return np.asarray(np.sqrt(2 * self.share * self.noise**2 + STILL_MISSED**2 * (self.missed**2).sum(axis=1)))
 
 
-def bent_where_clear(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, scale: Scale) -> FaceFit:
-    """The fit ``sides``, with those faces as parabolas too whose bend stands out at the root (``bent_at_root``) and is
-    their own: it is also there beyond the reach of a blurred corner."""
-    bending = np.array(bent_at_root(sides, window_mm(scale) / curve.step_mm))
-    added = np.flatnonzero(bending & ~np.array(sides.bent))
-    if not len(added):
-        return sides
-    farther = replace(scale, rounding=scale.near + scale.cell)
-    bent, beyond = (fit_faces(points, curve, faces, one, (True, True)) for one in (scale, farther))
-    if bent is None or beyond is None:
-        return sides
-    for side in added:
-        whole, part = bent.coefficients[side, :, 2], beyond.coefficients[side, :, 2]
-        bending[side] = whole @ part > LASTING * (whole @ whole)
-    told = bool(bending[0]), bool(bending[1])
-    return sides if told == sides.bent else fit_faces(points, curve, faces, scale, told) or sides
-
-
 def narrower_move(
     points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, meeting: Meeting, scale: Scale
 ) -> NarrowerMove:
     """How far the meeting of faces, fitted as ``sides``, moves where they are fitted to ``NARROW`` of their width and
-    of the window along the seam, again as lines or parabolas: a line to part of a bent face misses more than a parabola
-    to all of it.
+    of the window along the seam.
 
     Where surfaces bend, a parabola over a window misses by what grows with the third power and more of both. By noise
-    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances.
+    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances; the
+    narrower one has the smaller where it is a line and the other one a parabola.
     """
     narrow = replace(scale, cell=NARROW * scale.cell)
-    fitted = fit_faces(points, curve, faces, narrow, sides.bent)
+    fitted = fit_faces(points, curve, faces, narrow)
     if fitted is None:
         return NarrowerMove(np.zeros_like(meeting.displacement), np.zeros(len(curve)))
     raw = intersections(curve, faces, fitted)[0] - meeting.displacement

@@ -160,12 +160,12 @@ def _best(points: Floats, width: float, depth: float, starts: list[tuple[float, 
 
 
 def _is_among(points: Floats, q: Floats) -> bool:
-    """Whether the edges lie in their order among the points (K, 2), and the feet not far below: a sharp root may lie
-    under a floor, at most as deep again as the points are high."""
+    """Whether edges in their order and feet below them lie among the points (K, 2), or beyond at most as far again: an
+    edge may lie outside the cloud, and a sharp root under a floor."""
     low, high = points.min(axis=0), points.max(axis=0)
+    least, most = 2 * low - high, 2 * high - low
     left, _, _, right, depth, level = _places(q)
-    deepest = 2 * low[1] - high[1]
-    return bool(low[0] <= left < right <= high[0] and depth > 0 and deepest <= level - depth and level <= high[1])
+    return bool(least[0] <= left < right <= most[0] and depth > 0 and least[1] <= level - depth and level <= most[1])
 
 
 def _places(q: Floats) -> tuple[float, float, float, float, float, float]:
