@@ -221,9 +221,13 @@ def filler_point(points: Floats) -> Floats | None:
     """The point (3,) that stands for pixels without depth: one that many rows of (N, 3) repeat exactly, in the camera's
     frame the origin; None where there is none."""
     sample = points[:: max(len(points) // FILLER_SAMPLE, 1)]
-    values, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
-    if len(values) and counts.max() >= MIN_FILLERS:
-        return np.asarray(values[counts.argmax()])
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    first = np.sort(sample[:, 0])
+    # No number repeated so often, no point repeated so often: told many times faster.
+    if (first[MIN_FILLERS - 1 :] == first[: max(len(first) - MIN_FILLERS + 1, 0)]).any():
+        values, counts = np.unique(sample, axis=0, return_counts=True)
+        if counts.max() >= MIN_FILLERS:
+            return np.asarray(values[counts.argmax()])
     zeros = (points[points[:, 0] == 0] == 0).all(axis=1)
     return np.zeros(3) if zeros.sum() > 1 else None
 

@@ -63,9 +63,9 @@ def usable_cores() -> int:
 def parallel_map(function: Callable[..., Result], *columns: Iterable[Any]) -> list[Result]:
     """``list(map(function, *columns))`` in two threads, of which the caller's is one: what a thread has freed stays
     with it, and a caller who waits would keep memory that a third thread has to ask for again. With one core to
-    use, in one."""
+    use, or one job, in one."""
     jobs = list(zip(*columns, strict=True))
-    if usable_cores() == 1:
+    if usable_cores() == 1 or len(jobs) < 2:
         return [function(*job) for job in jobs]
     results: list[Result] = [None] * len(jobs)  # type: ignore[list-item]  # every place is filled below
     waiting = iter(range(len(jobs)))

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from benchmarks.seams import joint, off_line
 from grindvision.vision.seam.face_fit import FaceFit, Faces
 from grindvision.vision.seam.joint_extent import main_run
 from grindvision.vision.seam.joint_fit import turned_stations
@@ -67,3 +69,13 @@ def test_a_corner_ends_where_its_windows_show_none_whatever_its_steadied_bend_sa
     )  # fmt: skip
     turned = turned_stations(Faces(outward, np.stack([first, second])), none, sides, True)
     assert turned.tolist() == [True] * 12 + [False] * 8
+
+
+@pytest.mark.parametrize("seed", [9301, 9522])
+def test_a_lap_of_which_few_surfels_show_a_part_is_followed_over_a_hole(seed):
+    """Pairs of surfels showed 10 mm of 180: the line grew as far as a place without points and stopped there."""
+    seen = joint("lap-joint")(seed)
+    seam = find_seams(seen.points).seams[0]
+    assert seam.kind == "lap-joint"
+    assert (cKDTree(seam.root).query(seen.root)[0] < 4).mean() > 0.9
+    assert off_line(seam.root, seen.root)[3:-3].mean() < 0.3

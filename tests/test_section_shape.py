@@ -1,12 +1,15 @@
 """The cross-section of a groove from all its points at once: edges, feet and floor come back, upright walls or not."""
 
+import contextlib
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from benchmarks.seams import tubes
 from grindvision.cell import joint_scene
+from grindvision.errors import NoGrooveError
 from grindvision.vision.seam.groove_lines import DetectedGroove
 from grindvision.vision.seam.seams import FindSeamsOptions, find_seams
 from grindvision.vision.seam.section_shape import section_shape, with_shape
@@ -51,6 +54,14 @@ def test_edges_feet_and_floor_come_back(rng, feet, floor, wall_points):
     np.testing.assert_allclose(shape.feet_mm, np.subtract(feet, 3), atol=0.35)
     assert shape.depth_mm == pytest.approx(5, abs=0.25)
     assert (shape.floor_log_ratio > 5) == (floor > 0)
+
+
+@pytest.mark.parametrize("seed", [9301, 9302])
+def test_a_hollow_beside_a_round_body_has_no_shape_beyond_its_points(seed):
+    """Two tubes side by side, seen askew: the chain of lines that fitted best began at an edge 10 m below."""
+    with contextlib.suppress(NoGrooveError):
+        for seam in find_seams(tubes((20.0, 20.0), 1, False)(seed).points).seams:
+            assert np.ptp(seam.root, axis=0).max() < 200
 
 
 def test_a_groove_takes_on_the_shape_in_any_frame_and_order(rng):

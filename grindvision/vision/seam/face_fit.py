@@ -14,6 +14,7 @@ from scipy.ndimage import correlate1d, gaussian_filter1d
 
 from grindvision.geometry import unit_vectors
 from grindvision.records import by_content
+from grindvision.vision.seam.face_kernels import biweights, misses, station_sums
 from grindvision.vision.seam.seam_curve import SeamCurve, nearest_stations
 from grindvision.vision.seam.seam_polynomial import fit_polynomial
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
@@ -239,8 +240,8 @@ def _parabola(
     weights, noise = np.ones(len(a)), 0.0
     coefficients, covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     for _ in range(ROUNDS):
-        level = np.stack([np.bincount(at, weights * power, count) for power in powers])
-        right = np.stack([np.bincount(at, weights * e * a**k, count) for k in range(terms)])
+        level, right = station_sums(at, powers, e, weights, count)
+        right = right[:terms]
         normal = np.empty((count, terms + 1, terms + 1))
         even, rising = _over_window(level, window, 0), _over_window(level[:terms], window, 1)
         for i in range(terms):
@@ -252,14 +253,12 @@ def _parabola(
         normal = normal / scale[:, :, None] / scale[:, None, :] + 1e-6 * np.eye(terms + 1)
         inverse = (np.linalg.inv(normal) / scale[:, :, None] / scale[:, None, :])[:, :terms]
         coefficients[:, :terms] = np.einsum("sij,js->si", inverse, sides)
-        off = e - sum(coefficients[at, k] * powers[k] for k in range(terms))
+        off, squares = misses(at, powers, e, weights, coefficients, terms)
         known = weights > 0
         noise = max(float(MAD_TO_STD * np.median(np.abs(off[known]))) if known.any() else 0.0, MIN_NOISE_MM)
-        spread = gaussian_filter1d(
-            np.stack([np.bincount(at, weights, count), np.bincount(at, weights * off**2, count)]), window, axis=1
-        )
+        spread = gaussian_filter1d(np.stack([level[0], squares]), window, axis=1)
         local = np.clip(np.sqrt(spread[1] / np.maximum(spread[0], 1e-9)), noise, LOCAL * noise)
-        weights = np.maximum(1 - (off / np.maximum(TUKEY * local[at], 1e-9)) ** 2, 0) ** 2
+        weights = biweights(at, off, TUKEY * local)
     # A Gaussian window of sigma w stations counts as 2 sqrt(pi) w of them.
     covariance[:, :terms, :terms] = inverse[:, :, :terms] * noise**2 / (np.sqrt(2.0))
     return coefficients, covariance, noise, weights

@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.seam_curve import around, beside_stations
+from grindvision.vision.seam.seam_curve import beside_stations, in_frames
 from grindvision.vision.seam.seam_smoothing import MAD_TO_STD
+from grindvision.vision.seam.side_profiles import bin_medians, scattered, scattered_within
 
 Floats = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ MIN_PLACES = 7
 #: are not resolved.
 UPRIGHT, UPRIGHT_STEPS = 0.15, 1.5
 #: So many points of the cloud are looked at, and so many beside the groove show its edges: with more a camera's blur
-#: tells an edge from an arc. Multiples of the golden ratio are spread evenly and hit no period.
-CLOUD_POINTS, PROFILE_POINTS, GOLDEN = 12_000, 2500, (np.sqrt(5) - 1) / 2
+#: tells an edge from an arc.
+CLOUD_POINTS, PROFILE_POINTS = 12_000, 2500
 #: A groove holds at least this fraction of the points that the cloud's spacing gives to its area.
 MIN_FILLING = 0.45
 #: A groove shorter than so many widths is doubtful.
@@ -158,19 +159,18 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
     """
     half = max(np.median(np.linalg.norm(edge - groove.root, axis=1)) for edge in (groove.left, groove.right))
     reach = 1.2 * PROFILE_BINS[-1] * half
-    points = cloud[_scattered(len(cloud), 3 * CLOUD_POINTS)]
-    points = points[around(points, groove.root, reach)]
+    low, high = groove.root.min(axis=0) - reach, groove.root.max(axis=0) + reach
+    points = scattered_within(np.ascontiguousarray(cloud), 3 * CLOUD_POINTS, low, high)
     along = unit_vectors(np.gradient(groove.root, axis=0))
     across = unit_vectors(np.cross(groove.normals, along))
     for enough in (2 * PROFILE_POINTS, CLOUD_POINTS):
-        some = points[_scattered(len(points), enough)]
+        some = points[scattered(len(points), enough)]
         near, station, _ = beside_stations(some, groove.root, along, reach, groove.step_mm)
         if len(near) >= PROFILE_POINTS:
             break
-    kept = _scattered(len(near), PROFILE_POINTS)
+    kept = scattered(len(near), PROFILE_POINTS)
     near, station = near[kept], station[kept]
-    offset = some[near] - groove.root[station]
-    place, height = (offset * across[station]).sum(axis=1), (offset * groove.normals[station]).sum(axis=1)
+    place, height = in_frames(some[near], station, groove.root, (across, groove.normals)).T
     found: list[Edge] = []
     for edge in (groove.left, groove.right):
         side = ((edge - groove.root) * across).sum(axis=1)
@@ -189,28 +189,15 @@ def edges_of_sides(groove: DetectedGroove, cloud: Floats) -> tuple[Edge, Edge]:
     return found[0], found[1]
 
 
-def _scattered(count: int, some: int) -> NDArray[np.int64]:
-    """At most ``some`` numbers of ``count`` rows, by the golden ratio: every n-th would leave lines of a scan out."""
-    if count <= some:
-        return np.arange(count)
-    return (np.arange(some) * GOLDEN % 1.0 * count).astype(np.int64)
-
-
 def _median_profile(place: Floats, height: Floats) -> tuple[Floats, float]:
     """Median places and heights (B, 2) of points at ``place`` (N,), and the noise of the median heights.
 
     Places are in half widths from the root. Each bin has its own: the rows of a sparse scan do not lie in the middles.
     """
-    number = np.digitize(place, PROFILE_BINS) - 1
-    bins = [np.flatnonzero(number == b) for b in range(len(PROFILE_BINS) - 1)]
-    bins = [here for here in bins if len(here) > 5]
-    if not bins:
+    medians = bin_medians(place, height, PROFILE_BINS)
+    if not len(medians):
         return np.empty((0, 2)), 0.0
-    profile = np.array([[np.median(place[here]), np.median(height[here])] for here in bins])
-    scatter = [np.median(np.abs(height[here] - middle)) for here, middle in zip(bins, profile[:, 1], strict=True)]
-    return profile, float(
-        np.median([MAD_TO_STD * off / np.sqrt(len(here)) for off, here in zip(scatter, bins, strict=True)])
-    )
+    return medians[:, :2], float(np.median(MAD_TO_STD * medians[:, 2] / np.sqrt(medians[:, 3])))
 
 
 def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
@@ -230,7 +217,8 @@ def _slopes_deg(profile: Floats, half_mm: float) -> Floats:
 
 
 def _slope_deg(places: Floats, half_mm: float) -> float:
-    return float(np.degrees(np.arctan(np.polyfit(places[:, 0] * half_mm, places[:, 1], 1)[0])))
+    away = (places[:, 0] - places[:, 0].mean()) * half_mm
+    return float(np.degrees(np.arctan(away @ places[:, 1] / (away @ away))))
 
 
 def edge_or_arc(profile: Floats, noise_mm: float) -> Edge:
@@ -240,14 +228,22 @@ def edge_or_arc(profile: Floats, noise_mm: float) -> Edge:
         place, height = profile[profile[:, 0] > start].T
         if len(place) < MIN_PLACES:
             return Edge.ENDS
-        line = np.column_stack([np.ones_like(place), place])
-        edge = min(_misfit(np.column_stack([line, np.maximum(place - at, 0)]), height) for at in EDGE_PLACES)
-        arc = _misfit(np.column_stack([line, place**2]), height)
+        edges = np.maximum(place[:, None] - EDGE_PLACES, 0)
+        misfits = _misfits(place, height, np.column_stack([edges, place**2]))
+        edge, arc = misfits[:-1].min(), misfits[-1]
         if edge < ARC_FRACTION * arc:
             return Edge.ENDS
         found.append(Edge.UNTOLD if edge < MIN_MISFIT_NOISE * noise_mm else Edge.BENDS)
     return Edge.UNTOLD if Edge.UNTOLD in found else Edge.BENDS
 
 
-def _misfit(columns: Floats, height: Floats) -> float:
-    return float(np.sqrt(np.mean((height - columns @ np.linalg.lstsq(columns, height, rcond=None)[0]) ** 2)))
+def _misfits(place: Floats, height: Floats, shapes: Floats) -> Floats:
+    """Misfits (K,) of heights (B,) at ``place`` (B,) by a straight line and each of K ``shapes`` (B, K)."""
+    away = place - place.mean()
+    values = np.column_stack([height, shapes])
+    values = values - values.mean(axis=0)
+    values = values - np.outer(away, away @ values / (away @ away))
+    off, shapes = values[:, 0], values[:, 1:]
+    size = (shapes**2).sum(axis=0)
+    share = np.where(size > 1e-20, off @ shapes / np.maximum(size, 1e-20), 0.0)
+    return np.asarray(np.sqrt(((off[:, None] - share * shapes) ** 2).mean(axis=0)))

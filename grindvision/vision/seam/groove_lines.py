@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.geometry import inverse, move_points, rotate_vectors, vector_angle
-from grindvision.parallel import parallel_map
 from grindvision.records import by_content
 from grindvision.vision.seam.groove_profile import (
     BEND,
@@ -261,7 +260,7 @@ def _smooth_lines(
     middle, width = (theta[:, LEFT] + theta[:, RIGHT]) / 2, theta[:, RIGHT] - theta[:, LEFT]
     root_height = profile_height(theta[:, ROOT, None], theta, fit.corners)[:, 0]
     own = [theta[:, parameter] for parameter in (LEVEL, TILT, BEND, DEPTH, ROOT)]
-    *own, middle, width, root_height = parallel_map(
+    *own, middle, width, root_height = map(
         smooth, [*own, middle, width, root_height], [LEVEL, TILT, BEND, DEPTH, ROOT, ROOT, RIGHT, DEPTH]
     )
     result[:, [LEVEL, TILT, BEND, DEPTH, ROOT]] = np.stack(own, axis=1)

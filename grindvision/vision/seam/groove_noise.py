@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from grindvision.geometry import unit_vectors
 from grindvision.vision.seam.groove_diagnostics import MIN_WALL_FRACTION, Judged
 from grindvision.vision.seam.groove_lines import DetectedGroove
-from grindvision.vision.seam.seam_curve import beside_stations
+from grindvision.vision.seam.seam_curve import beside_stations, in_frames
 
 Floats = NDArray[np.float64]
 
@@ -55,11 +55,9 @@ def patch_noise_mm(groove: DetectedGroove, cloud: Floats, spacing_mm: float) -> 
     root, normals = groove.root[here], groove.normals[here]
     along = unit_vectors(np.gradient(root, axis=0))
     near, station, _ = beside_stations(cloud, root, along, reach, groove.step_mm)
-    offset = cloud[near] - root[station]
     across = unit_vectors(np.cross(normals, along))
-    ahead = (offset * along[station]).sum(axis=1)
+    ahead, aside, height = in_frames(cloud[near], station, root, (along, across, normals)).T
     place = station * groove.step_mm + ahead
-    aside, height = (offset * across[station]).sum(axis=1), (offset * normals[station]).sum(axis=1)
     found = []
     for side in (-1.0, 1.0):
         beside = (side * aside > first) & (side * aside < reach)

@@ -23,6 +23,9 @@ Floats = NDArray[np.float64]
 
 LEVEL, TILT, BEND, DEPTH, LEFT, ROOT, RIGHT = range(7)
 
+#: A thread of its own is worth its beginning for so many stations.
+STATIONS_PER_THREAD = 100
+
 
 @by_content
 @dataclass(frozen=True)
@@ -98,7 +101,8 @@ def fit_profiles(
     ) -> tuple[Floats, Floats, Floats]:
         return fit_stations(across, up, weight, start, prior, shape, float(noise_mm), gap)
 
-    columns = (np.array_split(column, 2) for column in (sections.across, sections.up, weight, start, prior))
+    parts = 2 if len(start) >= 2 * STATIONS_PER_THREAD else 1
+    columns = (np.array_split(column, parts) for column in (sections.across, sections.up, weight, start, prior))
     fitted = zip(*parallel_map(fit_part, *columns), strict=True)
     theta, covariance, residual = (np.concatenate(halves) for halves in fitted)
     return ProfileFit(theta, covariance, residual, corners)

@@ -127,11 +127,13 @@ def _merged(heights: Floats, counts: Integers, factor: int) -> tuple[Floats, Int
     """Mean heights and counts over blocks of ``factor`` x ``factor`` cells."""
     shape = ((heights.shape[0] + factor - 1) // factor, (heights.shape[1] + factor - 1) // factor)
     totals, numbers = np.zeros(shape), np.zeros(shape, np.int64)
-    for i in range(heights.shape[0]):
-        for j in range(heights.shape[1]):
-            if counts[i, j] > 0:
-                totals[i // factor, j // factor] += counts[i, j] * heights[i, j]
-                numbers[i // factor, j // factor] += counts[i, j]
+    for row in range(shape[0]):
+        for i in range(row * factor, min((row + 1) * factor, heights.shape[0])):
+            for column in range(shape[1]):
+                for j in range(column * factor, min((column + 1) * factor, heights.shape[1])):
+                    if counts[i, j] > 0:
+                        totals[row, column] += counts[i, j] * heights[i, j]
+                        numbers[row, column] += counts[i, j]
     return _divided(totals, numbers), numbers
 
 

@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 ROUNDS, SETTLED = 14, 1e-5
 #: Residuals beyond so many times the expected deviation count linearly (Huber).
 LINEAR_BEYOND = 2.0
+#: Profiles are filled up with bins of no weight to a multiple of this: what wide registers leave over takes as long as
+#: all the rest.
+LANES = 16
 
 
 class Profile(NamedTuple):
@@ -50,13 +53,15 @@ def fit_stations(
     """
     stations, bins = across.shape
     fitted, deviation, scatter = start.copy(), np.empty((stations, 7)), np.empty(stations)
-    slopes, off, fraction = np.ones((7, bins)), np.empty(bins), np.empty(bins)
+    filled = (bins + LANES - 1) // LANES * LANES
+    profile = Profile(np.zeros(filled), np.zeros(filled), np.zeros(filled))
+    slopes, off, fraction = np.ones((7, filled)), np.empty(filled), np.empty(filled)
     normal, trial_normal, factor = np.empty((7, 7)), np.empty((7, 7)), np.zeros((7, 7))
     force, trial_force, trial = np.empty(7), np.empty(7), np.empty(7)
     for s in range(stations):
         theta = fitted[s]
-        slopes[1] = across[s]
-        profile = Profile(across[s], up[s], weight[s])
+        profile.across[:bins], profile.up[:bins], profile.weight[:bins] = across[s], up[s], weight[s]
+        slopes[1] = profile.across
         cost = _compare(profile, theta, shape, noise, slopes, off, fraction)
         cost += _equations(slopes, off, fraction, theta, start[s], prior[s], normal, force)
         damping = 1e-2
@@ -90,7 +95,7 @@ def fit_stations(
     return fitted, deviation, scatter
 
 
-@njit(cache=True, nogil=True, forceinline=True, fastmath={"reassoc", "contract", "nsz"})
+@njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _compare(
     profile: Profile, theta: Floats, shape: Floats, noise: float, slopes: Floats, off: Floats, fraction: Floats
 ) -> float:
@@ -124,7 +129,7 @@ def _compare(
     return cost
 
 
-@njit(cache=True, nogil=True, forceinline=True, fastmath={"reassoc", "contract", "nsz"})
+@njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _equations(
     slopes: Floats,
     off: Floats,

@@ -18,8 +18,8 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-#: Stations that are looked at or passed over together where the nearest one is sought.
-BLOCK = 8
+#: Stations that are looked at or passed over together where the nearest one is sought; rounding leaves none out.
+BLOCK, ROUNDING = 8, 1 + 1e-9
 
 
 @by_content
@@ -160,6 +160,12 @@ def beside_stations(
     return _stations_near(points, stations, along, blocks, np.array([reach_mm, ahead_mm]))
 
 
+def in_frames(points: Floats, station: Integers, stations: Floats, axes: tuple[Floats, ...]) -> Floats:
+    """Coordinates (K, A) of points (K, 3) from their ``station`` (K,) among S ``stations`` (S, 3), along each of A axes
+    (S, 3) there."""
+    return _in_frames(points, station, stations, np.ascontiguousarray(np.stack(axes, axis=1)))
+
+
 def closed_runs(flags: Flags, size: int) -> Flags:
     """Flags (S,) with gaps shorter than ``size`` filled; the ends stay where they are."""
     return np.asarray(binary_closing(np.pad(flags, size), np.ones(size))[size:-size])
@@ -183,28 +189,28 @@ def _stations_near(
         for k in range(3):
             low[k] = min(low[k], stations[s, k] - reach)
             high[k] = max(high[k], stations[s, k] + reach)
+    widest = blocks[:, 3].max()
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
             continue
-        least, first = np.inf, 0
         for b in range(len(blocks)):
             dx, dy, dz = x - blocks[b, 0], y - blocks[b, 1], z - blocks[b, 2]
-            away[b] = np.sqrt(dx * dx + dy * dy + dz * dz) - blocks[b, 3]
-            if away[b] < least:
-                least, first = away[b], b
-        if not least <= reach:
+            away[b] = dx * dx + dy * dy + dz * dz
+        first = np.argmin(away)
+        if away[first] > (reach + widest) ** 2:
             continue
-        best, found = reach * reach, -1
+        best, limit, found = reach * reach, reach * ROUNDING, -1
         for turn in range(len(blocks) + 1):
             b = first if turn == 0 else turn - 1
-            if (turn > 0 and b == first) or (away[b] > 0 and away[b] * away[b] > best):
+            if (turn > 0 and b == first) or away[b] > (limit + blocks[b, 3]) ** 2:
                 continue
             for s in range(b * BLOCK, min((b + 1) * BLOCK, len(stations))):
                 dx, dy, dz = x - stations[s, 0], y - stations[s, 1], z - stations[s, 2]
                 squared = dx * dx + dy * dy + dz * dz
                 if squared < best or (squared == best and 0 <= s < found):
                     best, found = squared, s
+            limit = np.sqrt(best) * ROUNDING
         if found < 0:
             continue
         dx, dy, dz = x - stations[found, 0], y - stations[found, 1], z - stations[found, 2]
@@ -217,6 +223,18 @@ def _stations_near(
         offset[kept, 2] = dz - ahead * along[found, 2]
         kept += 1
     return index[:kept].copy(), nearest[:kept].copy(), offset[:kept].copy()
+
+
+@njit(cache=True, nogil=True)
+def _in_frames(points: Floats, station: Integers, stations: Floats, axes: Floats) -> Floats:
+    """Coordinates (K, A) of points (K, 3) from their stations, along the axes (S, A, 3) of these."""
+    result = np.empty((len(points), axes.shape[1]))
+    for p in range(len(points)):
+        s = station[p]
+        x, y, z = points[p, 0] - stations[s, 0], points[p, 1] - stations[s, 1], points[p, 2] - stations[s, 2]
+        for axis in range(axes.shape[1]):
+            result[p, axis] = x * axes[s, axis, 0] + y * axes[s, axis, 1] + z * axes[s, axis, 2]
+    return result
 
 
 @njit(cache=True, nogil=True)

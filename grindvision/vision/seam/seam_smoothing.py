@@ -102,58 +102,62 @@ def _stiffest(squares: Floats, sure: float, gap: int) -> int:
 @njit(cache=True, nogil=True)
 def _robust(values: Floats, base: Floats, stiffness: float, rounds: int) -> Floats:
     """Smoothed values (S,), the weights of those that stand out lowered from round to round."""
-    smooth, bands, weight = np.empty(len(values)), np.empty((3, len(values))), base.copy()
+    curve, bands, weight = np.zeros((len(values), 1)), np.zeros((3, len(values), 1)), base.copy()
+    smooth, stiffnesses = curve[:, 0], np.array([stiffness])
     for number in range(rounds):
-        _smooth(values, weight, stiffness, smooth, bands)
+        _smooth(values, weight, stiffnesses, curve, bands)
         if number < rounds - 1:
             off = np.abs(values - smooth)
             scale = max(TUKEY * MAD_TO_STD * np.median(off[base > 0]) if (base > 0).any() else 0.0, 1e-9)
             weight = base * np.maximum(1 - (off / scale) ** 2, 0) ** 2
-    return smooth
+    return smooth.copy()
 
 
 @njit(cache=True, nogil=True)
 def _misses(values: Floats, weights: Floats, stiffnesses: Floats, gap: int) -> Floats:
     """How far (L, S) the curve of each of L stiffnesses misses a value when it and those around it are left out."""
-    count = len(values)
-    smooth, bands, kept = np.empty(count), np.empty((3, count)), np.empty(count)
-    off = np.empty((len(stiffnesses), count))
+    count, trials = len(values), len(stiffnesses)
+    curves, bands, kept = np.zeros((count, trials)), np.zeros((3, count, trials)), np.empty(count)
+    off = np.empty((trials, count))
     period = gap + gap * KEPT // GAP
     for turn in range(-(-period // JUDGED)):
         for s in range(count):
             kept[s] = 0.0 if (s + turn * JUDGED) % period < gap else weights[s]
-        for trial in range(len(stiffnesses)):
-            _smooth(values, kept, stiffnesses[trial], smooth, bands)
-            for s in range(count):
-                if abs((s + turn * JUDGED) % period - gap // 2) <= JUDGED // 2:
-                    off[trial, s] = abs(values[s] - smooth[s])
+        _smooth(values, kept, stiffnesses, curves, bands)
+        for s in range(count):
+            if abs((s + turn * JUDGED) % period - gap // 2) <= JUDGED // 2:
+                for trial in range(trials):
+                    off[trial, s] = abs(values[s] - curves[s, trial])
     return off
 
 
-@njit(cache=True, nogil=True)
-def _smooth(values: Floats, weights: Floats, stiffness: float, smooth: Floats, bands: Floats) -> None:
-    """Solve (W + stiffness D^T D) x = W y into ``smooth``; D takes second differences, so the matrix has five bands.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth(values: Floats, weights: Floats, stiffnesses: Floats, curves: Floats, bands: Floats) -> None:
+    """Solve (W + stiffness D^T D) x = W y for each of L stiffnesses into the columns of ``curves`` (S, L).
 
-    Factorised as L diag(d) L^T; ``bands`` (3, S) takes the two bands of L and 1 / d.
+    D takes second differences, so the matrix has five bands. It is factorised as L diag(d) L^T; ``bands`` (3, S, L)
+    takes the two bands of L and 1 / d. Both arrays come with finite numbers. One system is a chain of divisions that
+    wait for each other; several side by side take hardly longer.
     """
-    count = len(values)
-    per_before = per_last = 0.0
+    count, trials = curves.shape
     for s in range(count):
-        bending = (s < count - 2) + 4 * (0 < s < count - 1) + (s > 1)
-        far = stiffness if s > 1 else 0.0
-        near = -2 * stiffness * ((s < count - 1) + (s > 1)) - far * bands[0, s - 1] if s > 0 else 0.0
-        bands[0, s], bands[1, s] = near * per_last, far * per_before
-        pivot = weights[s] + stiffness * bending - bands[0, s] * near - bands[1, s] * far
-        smooth[s] = weights[s] * values[s]
-        if s > 0:
-            smooth[s] -= bands[0, s] * smooth[s - 1]
-        if s > 1:
-            smooth[s] -= bands[1, s] * smooth[s - 2]
-        per_before, per_last = per_last, 1 / (max(pivot, 0.0) + RIDGE)
-        bands[2, s] = per_last
+        bending = float((s < count - 2) + 4 * (0 < s < count - 1) + (s > 1))
+        side = -2.0 * ((s < count - 1) + (s > 1)) if s > 0 else 0.0
+        beyond, first, second = 1.0 * (s > 1), max(s - 1, 0), max(s - 2, 0)
+        here, last, before = curves[s], curves[first], curves[second]
+        near_last, per_last, per_before = bands[0, first], bands[2, first], bands[2, second]
+        for trial in range(trials):
+            far = beyond * stiffnesses[trial]
+            near = side * stiffnesses[trial] - far * near_last[trial]
+            of_near, of_far = near * per_last[trial], far * per_before[trial]
+            pivot = weights[s] + stiffnesses[trial] * bending - of_near * near - of_far * far
+            here[trial] = weights[s] * values[s] - of_near * last[trial] - of_far * before[trial]
+            bands[0, s, trial], bands[1, s, trial] = of_near, of_far
+            bands[2, s, trial] = 1 / (max(pivot, 0.0) + RIDGE)
     for s in range(count - 1, -1, -1):
-        smooth[s] *= bands[2, s]
-        if s < count - 1:
-            smooth[s] -= bands[0, s + 1] * smooth[s + 1]
-        if s < count - 2:
-            smooth[s] -= bands[1, s + 2] * smooth[s + 2]
+        after, behind = min(s + 1, count - 1), min(s + 2, count - 1)
+        any_after, any_behind = 1.0 * (after == s + 1), 1.0 * (behind == s + 2)
+        for trial in range(trials):
+            total = curves[s, trial] * bands[2, s, trial]
+            total -= any_after * bands[0, after, trial] * curves[after, trial]
+            curves[s, trial] = total - any_behind * bands[1, behind, trial] * curves[behind, trial]

@@ -66,7 +66,11 @@ class SectionShape:
 
 
 def section_shape(groove: DetectedGroove, cloud: Floats, spacing_mm: float) -> SectionShape | None:
-    """The shape that explains the points (N, 3) around a groove best; None where hardly any are there."""
+    """The shape that explains the points (N, 3) around a groove best.
+
+    None where hardly any are there, or where no chain of lines among them does: walls of a hollow between round bodies
+    never end.
+    """
     points = _laid_over(groove, cloud)
     if len(points) < 50:
         return None
@@ -75,6 +79,8 @@ def section_shape(groove: DetectedGroove, cloud: Floats, spacing_mm: float) -> S
     width, depth = float(np.median(groove.width_mm)), float(np.median(groove.depth_mm))
     sharp = _best(points, width, depth, [(at, at) for at in SHARP_STARTS])
     floored = _best(points, width, depth, list(FLOOR_STARTS))
+    if sharp is None or floored is None:
+        return sharp
     ratio = independent * float(np.log(max(sharp.misfit_mm, 1e-9) / max(floored.misfit_mm, 1e-9)))
     wide = floored.floor_fraction * floored.width_mm
     least = max(MIN_FLOOR_WIDTHS * floored.width_mm, MIN_FLOOR_SPACINGS * spacing_mm)
@@ -124,8 +130,11 @@ def _laid_over(groove: DetectedGroove, cloud: Floats) -> Floats:
     return np.asarray(laid[np.lexsort((laid[:, 1], laid[:, 0]))])
 
 
-def _best(points: Floats, width: float, depth: float, starts: list[tuple[float, float]]) -> SectionShape:
-    """The best of the fits that begin with the feet at these places, in widths from the left edge."""
+def _best(points: Floats, width: float, depth: float, starts: list[tuple[float, float]]) -> SectionShape | None:
+    """The best of the fits that begin with the feet at these places, in widths from the left edge.
+
+    Of those that stayed among the points; None where none did.
+    """
     sharp = starts[0][0] == starts[0][1]
     soft = SOFT_DEPTHS * depth
     best: tuple[float, Floats] = np.inf, np.zeros(5)
@@ -137,8 +146,10 @@ def _best(points: Floats, width: float, depth: float, starts: list[tuple[float, 
             lambda q: _distances(points, q), start, loss="soft_l1", f_scale=soft, diff_step=STEP,
             max_nfev=MAX_EVALUATIONS,
         )  # fmt: skip
-        if fit.cost < best[0]:
+        if fit.cost < best[0] and _is_among(points, fit.x):
             best = float(fit.cost), fit.x
+    if not np.isfinite(best[0]):
+        return None
     off = _distances(points, best[1])
     limit = SOFT_DEVIATIONS * max(float(MAD_TO_STD * np.median(off)), soft)
     left, foot, other, right, bottom, level = _places(best[1])
@@ -146,6 +157,15 @@ def _best(points: Floats, width: float, depth: float, starts: list[tuple[float, 
         np.array([left, right]), np.array([foot, other]), level, bottom,
         float(np.sqrt(np.mean(np.minimum(off, limit) ** 2))), 0.0,
     )  # fmt: skip
+
+
+def _is_among(points: Floats, q: Floats) -> bool:
+    """Whether edges in their order and feet below them lie among the points (K, 2), or beyond at most as far again: an
+    edge may lie outside the cloud, and a sharp root under a floor."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    least, most = 2 * low - high, 2 * high - low
+    left, _, _, right, depth, level = _places(q)
+    return bool(least[0] <= left < right <= most[0] and depth > 0 and least[1] <= level - depth and level <= most[1])
 
 
 def _places(q: Floats) -> tuple[float, float, float, float, float, float]:

@@ -32,6 +32,9 @@ DEEPEST = 90
 MIN_WALL_POINTS = 0.5
 #: A step goes on while more than this fraction of what lies beside it is up there: beyond a plate's corner it is gone.
 MIN_HIGH = 0.5
+#: A step that is there along this part of what a line was prolonged by is followed twice as far in the next pass: few
+#: pairs of surfels may show a short part of a long edge.
+FOLLOWED = 0.8
 #: Passes of fitting and prolonging: at least, and while the seam still grows.
 MIN_PASSES, MAX_PASSES = 3, 40
 #: Bins in which the heights beside a gap show whether the surfaces fall towards it.
@@ -95,10 +98,10 @@ def fit_step(
     step = max(1.5 * scale.spacing, scale.cell / 2)
     curve = _straightened(path, up, step, 2 * scale.cell)
     side = 1.0 if np.mean((curve.across * way[_nearest(path, curve.stations)]).sum(axis=1)) > 0 else -1.0
-    length, growing = 0.0, True
+    length, growing, reach = 0.0, True, 3 * scale.cell
     for number in range(MAX_PASSES):
         if 0 < number < MAX_PASSES - 1 and growing:
-            curve = extended(curve, 3 * scale.cell, 3 * scale.cell, base_mm=12 * scale.cell)
+            curve = extended(curve, reach, reach, base_mm=max(12 * scale.cell, 2 * reach))
         found = _edges(points, curve, side, height_mm, scale)
         if found is None:
             return None
@@ -114,6 +117,8 @@ def fit_step(
         if number == MAX_PASSES - 1 or (number >= MIN_PASSES and not growing):
             return _part(found, slice(first, last), height_mm is None)
         growing = abs(grown) > scale.cell / 2
+        if number > 0 and grown > FOLLOWED * 2 * reach:
+            reach *= 2
         lateral = smooth_along(found.across, found.weight, 2 * scale.cell, curve.step_mm, robust=True)
         level = smooth_along(found.level, found.weight, 2 * scale.cell, curve.step_mm, robust=True)
         tilt = smooth_along(found.tilt, found.weight, 4 * scale.cell, curve.step_mm, robust=True)

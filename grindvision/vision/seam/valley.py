@@ -148,7 +148,7 @@ def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
     least = MIN_RELIEF * (2 * MIN_INNER_CELLS - 1) * field.cell_mm
     level, depths = least, depth[field.filled]
     if 2 * np.count_nonzero(depths <= least / MIN_CONTRAST) <= len(depths):  # told many times faster than the median
-        level = max(MIN_CONTRAST * float(np.median(depths)), least)
+        level = max(MIN_CONTRAST * _median(depths), least)
     left, pieces = depth, []
     for _ in range(MAX_VALLEYS):
         peak = float(left.max())
@@ -162,6 +162,13 @@ def _pieces(depth: Floats, field: HeightField) -> list[_Piece]:
                 pieces.append(piece)
         left = cleared(left, FLANK_FRACTION * peak)
     return pieces
+
+
+def _median(values: Floats) -> float:
+    """Median of many numbers (N,) without NaN: parted at one place, several times faster than ``np.median`` does."""
+    middle = len(values) // 2
+    parted = np.partition(values, middle)
+    return float(parted[middle] if len(values) % 2 else (parted[:middle].max() + parted[middle]) / 2)
 
 
 def _piece(inside: Flags, box: tuple[slice, slice], depth: Floats, field: HeightField) -> _Piece | None:
