@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks import __main__ as bench
 from benchmarks import goals, inputs, judging, races, racing, report, scenes
+from benchmarks.floors import floors as measured_floors
 from benchmarks.racing import Case, Measurement, Racer
 from grindvision.clouds import write_ply
 
@@ -64,7 +65,7 @@ def test_every_stage_is_raced_and_judged(name):
 
 def test_whole_detection_race_writes_its_table_and_picture(tmp_path, cache, monkeypatch):
     monkeypatch.setattr(bench, "build_pcl", lambda: "PCL is left out of this test")
-    monkeypatch.setattr(bench, "floors", partial(bench.floors, rounds=1))
+    monkeypatch.setattr(bench, "floors", partial(measured_floors, rounds=1))
     race = replace(races.DETECT, racers=races.DETECT.racers[:2])
     absent = Racer("nobody", "open3d_peer:detect", needs="no_such_module")
     bench.run([replace(race, racers=(*race.racers, absent))], replace(TINY, rounds=2, scenes=3), tmp_path)
