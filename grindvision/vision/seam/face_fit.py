@@ -31,8 +31,9 @@ MIN_NOISE_MM = 1e-4
 LOCAL = 3.0
 #: Points at first belong to a face up to this slope off it.
 MAX_SLOPE_OFF = 0.6
-#: A face bends if a parabola leaves less than this fraction of what a straight line leaves.
-CLEARLY_BENT = 0.9
+#: A face bends if a parabola leaves less than this fraction of what a straight line leaves, or if, once the seam is
+#: found, both differ at the root by more than so many times what the noise of the bend does.
+CLEARLY_BENT, CLEARLY_APART = 0.9, 3.0
 #: The curvature of a face changes along the seam as a polynomial up to this degree. Stations whose variance is so many
 #: times the usual one do not count.
 MAX_BEND_DEGREE, MAX_VARIANCES = 4, 25.0
@@ -122,8 +123,11 @@ def faces_beside(curve: SeamCurve, first: Floats, second: Floats, concave: bool)
     return Faces(np.stack(outward), np.stack(normals))
 
 
-def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> FaceFit | None:
-    """Parabolas of both faces at every station, fitted over a window along the seam."""
+def fit_faces(
+    points: Floats, curve: SeamCurve, faces: Faces, scale: Scale, bent_sides: tuple[bool, bool] | None = None
+) -> FaceFit | None:
+    """Parabolas of both faces at every station, fitted over a window along the seam; ``bent_sides`` says which of the
+    faces bend, where that is known."""
     index, station, offset = nearest_stations(points, curve, 1.3 * scale.far)
     if len(index) < 20:
         return None
@@ -142,7 +146,7 @@ def fit_faces(points: Floats, curve: SeamCurve, faces: Faces, scale: Scale) -> F
         flat = _parabola(at, a, e, count, window, 2)
         round_ = _parabola(at, a, e, count, window, 3)
         rounds.append(round_[:2])
-        is_bent = round_[2] < CLEARLY_BENT * flat[2]
+        is_bent = round_[2] < CLEARLY_BENT * flat[2] if bent_sides is None else bent_sides[side]
         coefficients, covariance, noise, weights = round_ if is_bent else flat
         scatter = 0.0
         single.append(coefficients[:, 1].copy())
@@ -214,13 +218,34 @@ def unseen_bend(sides: FaceFit, window: float) -> Floats:
     """
     moved = np.zeros(sides.coefficients.shape[:2])
     for side in np.flatnonzero(~np.array(sides.bent)):
-        coefficients, covariance = (one[side] for one in sides.round)
-        steady, left = _steadily_bent(coefficients, covariance, 2 * np.sqrt(np.pi) * window)
-        known = covariance[:, 0, 2] ** 2 / np.maximum(covariance[:, 2, 2], 1e-300)
-        noise = known - (covariance[:, 0, 0] - left[:, 0, 0])
-        squared = (steady[:, 0] - sides.coefficients[side, :, 0]) ** 2
+        squared, noise, _ = _by_bend(sides, int(side), window)
         moved[side] = np.sqrt(np.maximum(squared - noise, 0.0))
     return moved
+
+
+def bent_at_root(sides: FaceFit, window: float) -> tuple[bool, bool]:
+    """Which faces bend, also those whose bend moves their level at the root by clearly more than its noise would: over
+    few rows of points a bend stands out of that long before it shows in what a straight line leaves.
+
+    Noise counts as much more as the curvatures of the single stations scatter more than promised.
+    """
+    found = [*sides.bent]
+    for side in np.flatnonzero(~np.array(sides.bent)):
+        squared, noise, more = _by_bend(sides, int(side), window)
+        found[side] = bool(np.median(squared) > CLEARLY_APART**2 * more * np.median(noise))
+    return found[0], found[1]
+
+
+def _by_bend(sides: FaceFit, side: int, window: float) -> tuple[Floats, Floats, float]:
+    """Squares (S,) by how much a face's level at the root changes where it is a parabola, the part of the noise of its
+    bend in them (S,), and by how much more than promised the square of that noise is."""
+    coefficients, covariance = (one[side] for one in sides.round)
+    steady, left = _steadily_bent(coefficients, covariance, 2 * np.sqrt(np.pi) * window)
+    variance = np.maximum(covariance[:, 2, 2], 1e-300)
+    noise = covariance[:, 0, 2] ** 2 / variance - (covariance[:, 0, 0] - left[:, 0, 0])
+    scatter = MAD_TO_STD * float(np.median(np.abs(coefficients[:, 2] - steady[:, 2])))
+    more = max(scatter**2 / float(np.median(variance)), 1.0)
+    return (steady[:, 0] - sides.coefficients[side, :, 0]) ** 2, noise, more
 
 
 def root_normals(faces: Faces, slopes: Floats) -> Floats:

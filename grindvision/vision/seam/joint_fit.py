@@ -35,7 +35,7 @@ from grindvision.vision.seam.joint_extent import (
     rounding_mm,
     sharpness,
 )
-from grindvision.vision.seam.narrower_fit import Meeting, narrower_move
+from grindvision.vision.seam.narrower_fit import Meeting, bent_where_clear, narrower_move
 from grindvision.vision.seam.ring_line import RING_CELLS, is_ring, joined_smoothly, one_round, overlap, wrapped
 from grindvision.vision.seam.root_line import root_line, smooth_root
 from grindvision.vision.seam.seam_curve import SeamCurve, around, build_curve, closed_runs, extended
@@ -196,7 +196,7 @@ def _fit_along(
         curve, faces, fitted = _cut(curve, faces, fitted, here)
         displacement, slopes, shown = displacement[here], slopes[:, here], shown[here]
         if last:
-            result = _result(points, curve, faces, fitted, (displacement, slopes, shown, closed), scale, towards)
+            result = _result(points, curve, faces, fitted, (shown, closed), scale, towards)
             return replace(result, members=members[result.members])
         weight = np.where(shown, 1.0, 0.0)
         stiffness = (GROWING_CELLS if growing else 1.0) * scale.cell
@@ -255,11 +255,13 @@ def _result(
     curve: SeamCurve,
     faces: Faces,
     sides: FaceFit,
-    fitted: tuple[Floats, Floats, Flags, bool],
+    fitted: tuple[Flags, bool],
     scale: Scale,
     towards: Floats | None,
 ) -> JointFit:
-    displacement, slopes, shown, closed = fitted
+    shown, closed = fitted
+    sides = bent_where_clear(points, curve, faces, sides, scale)
+    displacement, slopes = intersections(curve, faces, sides)
     normals = root_normals(faces, slopes)
     weight, level, turns = _levels(faces, sides, slopes, shown)
     window = window_mm(scale) / curve.step_mm
@@ -323,8 +325,7 @@ def prolonged(curve: SeamCurve, faces: Faces, reach_mm: float) -> tuple[SeamCurv
     """A curve and its faces carried on by ``reach_mm`` at both ends."""
     longer = extended(curve, reach_mm, reach_mm, base_mm=4 * reach_mm)
     place = cKDTree(curve.stations).query(longer.stations)[1]
-    outward = faces.outward[:, place]
-    normal = faces.normal[:, place]
+    outward, normal = faces.outward[:, place], faces.normal[:, place]
     normal = unit_vectors(normal - np.einsum("ksi,si->ks", normal, longer.along)[..., None] * longer.along)
     outward = outward - np.einsum("ksi,si->ks", outward, longer.along)[..., None] * longer.along
     outward = unit_vectors(outward - np.einsum("ksi,ksi->ks", outward, normal)[..., None] * normal)
@@ -342,9 +343,8 @@ def _unwrapped(fit: JointFit, scale: Scale) -> JointFit:
     root = joined_smoothly(fit.root[here], scale.cell, fit.curve.step_mm)
     return replace(
         fit, curve=replace(fit.curve.part(here), stations=root), root=root,
-        sigma_mm=fit.sigma_mm[here], normals=fit.normals[here],
-        faces=fit.faces.part(here), dihedral_rad=fit.dihedral_rad[here],
-        dihedral_sigma_rad=fit.dihedral_sigma_rad[here], legs_mm=fit.legs_mm[:, here], shown=fit.shown[here],
-        facing=fit.facing[here], missed_mm=fit.missed_mm[here], swayed_mm=fit.swayed_mm[here],
-        unseen_mm=fit.unseen_mm[here],
+        sigma_mm=fit.sigma_mm[here], normals=fit.normals[here], faces=fit.faces.part(here),
+        dihedral_rad=fit.dihedral_rad[here], dihedral_sigma_rad=fit.dihedral_sigma_rad[here],
+        legs_mm=fit.legs_mm[:, here], shown=fit.shown[here], facing=fit.facing[here],
+        missed_mm=fit.missed_mm[here], swayed_mm=fit.swayed_mm[here], unseen_mm=fit.unseen_mm[here],
     )  # fmt: skip

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grindvision.records import by_content
-from grindvision.vision.seam.face_fit import FaceFit, Faces, Scale, fit_faces, intersections, window_mm
+from grindvision.vision.seam.face_fit import (
+    FaceFit,
+    Faces,
+    Scale,
+    bent_at_root,
+    fit_faces,
+    intersections,
+    window_mm,
+)
+from grindvision.vision.seam.joint_extent import leg_lengths
 from grindvision.vision.seam.seam_curve import SeamCurve
 from grindvision.vision.seam.seam_smoothing import smooth_along
 
@@ -22,6 +31,9 @@ NARROW = 0.75
 STILL_MISSED = 0.6
 #: A move is smoothed along the seam over so many cells.
 SMOOTHED_CELLS = 2.0
+#: A fit that begins a cell farther from the seam shows at least this part of a face's own bend, at most its inverse:
+#: a third of what a camera's blur makes of a corner, and 5 times what the rim of a cloud makes of a strip of a wall.
+ALIKE = 0.5
 
 
 @by_content
@@ -61,18 +73,39 @@ class NarrowerMove:
         return np.asarray(np.sqrt(2 * self.share * self.noise**2 + STILL_MISSED**2 * (self.missed**2).sum(axis=1)))
 
 
+def bent_where_clear(points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, scale: Scale) -> FaceFit:
+    """The fit ``sides``, with those faces as parabolas too whose bend stands out at the root (``bent_at_root``) and is
+    their own: alike beyond the reach of a blurred corner, of a face that is seen over all the width of the fit. What
+    remains of a groove's wall at the cloud's rim is a strip too narrow to tell a bend."""
+    bending = np.array(bent_at_root(sides, window_mm(scale) / curve.step_mm))
+    added = np.flatnonzero(bending & ~np.array(sides.bent))
+    if not len(added):
+        return sides
+    farther = replace(scale, rounding=scale.near + scale.cell)
+    bent, beyond = (fit_faces(points, curve, faces, one, (True, True)) for one in (scale, farther))
+    if bent is None or beyond is None:
+        return sides
+    legs = np.median(leg_lengths(points, curve, faces, bent, scale), axis=1)
+    for side in added:
+        whole, part = bent.coefficients[side, :, 2], beyond.coefficients[side, :, 2]
+        own = ALIKE * (whole @ whole) < whole @ part < (whole @ whole) / ALIKE
+        bending[side] = own and legs[side] >= scale.far
+    told = bool(bending[0]), bool(bending[1])
+    return sides if told == sides.bent else fit_faces(points, curve, faces, scale, told) or sides
+
+
 def narrower_move(
     points: Floats, curve: SeamCurve, faces: Faces, sides: FaceFit, meeting: Meeting, scale: Scale
 ) -> NarrowerMove:
     """How far the meeting of faces, fitted as ``sides``, moves where they are fitted to ``NARROW`` of their width and
-    of the window along the seam.
+    of the window along the seam, again as lines or parabolas: a line to part of a bent face misses more than a parabola
+    to all of it.
 
     Where surfaces bend, a parabola over a window misses by what grows with the third power and more of both. By noise
-    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances; the
-    narrower one has the smaller where it is a line and the other one a parabola.
+    alone the meetings of a fit and of one to a part of its points differ by the difference of their variances.
     """
     narrow = replace(scale, cell=NARROW * scale.cell)
-    fitted = fit_faces(points, curve, faces, narrow)
+    fitted = fit_faces(points, curve, faces, narrow, sides.bent)
     if fitted is None:
         return NarrowerMove(np.zeros_like(meeting.displacement), np.zeros(len(curve)))
     raw = intersections(curve, faces, fitted)[0] - meeting.displacement
