@@ -27,9 +27,9 @@ from grindvision_book.site.chapter_pages import readable
 from grindvision_book.site.downloads import notebook_links, repository
 from grindvision_book.site.evidence_page import evidence_page
 from grindvision_book.site.examples import EXAMPLES, examples_page
+from grindvision_book.site.exercise_pages import exercises_page, gather_exercises
 from grindvision_book.site.findings import findings_page
 from grindvision_book.site.gallery import gallery_page
-from grindvision_book.site.in_browser import IN_BROWSER, in_browser_link
 from grindvision_book.site.pdf import write_pdf
 from grindvision_book.site.pictures import dark_copies, figures_in, light_copies, lightened, tables_in
 from grindvision_book.site.playbacks import Playback
@@ -262,7 +262,7 @@ def _gather(
         nbformat.write(notebook, sources / "notebooks" / chapter.name)
 
     exercises = sorted((notebooks / "exercises").glob("[0-9][0-9]_*.ipynb"))
-    _gather_exercises(sources / "notebooks" / "exercises", exercises, address, in_browser)
+    gather_exercises(sources / "notebooks" / "exercises", exercises, address, in_browser)
     for text in (*_TEXTS, *_LINKED):
         if (ROOT / text).exists():
             (sources / text).parent.mkdir(parents=True, exist_ok=True)
@@ -276,7 +276,7 @@ def _gather(
     pages["evidence.md"] = evidence_page(board)
     pages["examples.md"] = examples_page()
     if exercises:
-        pages["exercises.md"] = _exercises_page([path.stem for path in exercises], in_browser)
+        pages["exercises.md"] = exercises_page([path.stem for path in exercises], in_browser)
     if scenes:
         pages["scenes.md"] = scenes_page(scenes, titles, drawn)
     for name, text in pages.items():
@@ -288,53 +288,6 @@ def _say_what_was_committed(folder: Path) -> None:
     """Put into words what git calls dirty: a race was run on a commit and changes that it did not hold."""
     for page in folder.glob("bench_*.md"):
         page.write_text(page.read_text(encoding="utf-8").replace("-dirty", " and changes made after it"), "utf-8")
-
-
-def _gather_exercises(target: Path, exercises: Sequence[Path], address: str, in_browser: bool) -> None:
-    """Copy the exercises, each with links to take it away below its title."""
-    from nbformat.v4 import new_markdown_cell
-
-    for exercise in exercises:
-        notebook = nbformat.read(exercise, as_version=4)
-        here = in_browser_link(exercise.name, "../../") if in_browser and exercise.name[:2] in IN_BROWSER else ""
-        offers = notebook_links(f"exercises/{exercise.name}", "../../", address, here)
-        notebook.cells.insert(1, new_markdown_cell(offers, id="take"))
-        target.mkdir(exist_ok=True)
-        nbformat.write(notebook, target / exercise.name)
-
-
-def _exercises_page(names: Sequence[str], in_browser: bool) -> str:
-    here = [name for name in names if name[:2] in IN_BROWSER] if in_browser else []
-    return "\n".join(
-        [
-            "# Exercises",
-            "",
-            "One notebook for each chapter, for JupyterLab (`./run lab`, folder `exercises`). After a cell to fill in "
-            "comes a check that tries your function on inputs you do not see, and names the likely mistake. Solutions "
-            "lie in `notebooks/solutions`.",
-            "",
-            *(_EXERCISES_HERE if here else _EXERCISES_NOT_HERE),
-            *(f"- {name[:2]}: {in_browser_link(f'{name}.ipynb', '')}" for name in here),
-            "",
-            "```{toctree}",
-            "",
-            *(f"notebooks/exercises/{name}" for name in names),
-            "```",
-            "",
-        ]
-    )
-
-
-_EXERCISES_HERE = (
-    "**Without installing anything.** These run in the browser, checker included; nothing is sent anywhere, and your "
-    "browser keeps what you write. The first call loads about 50 MB and takes half a minute. The pages have to come "
-    "from a web server (`python -m http.server --directory build/site`), not from a file.",
-    "",
-)
-_EXERCISES_NOT_HERE = (
-    "This copy of the book was built without the exercises that run in the browser (`./run site --in-browser` builds "
-    "them); download the notebooks instead.",
-)
 
 
 def _write_index(sources: Path, light: dict[str, str], pdf: bool) -> None:
