@@ -197,7 +197,7 @@ def _stations_near(
         for b in range(len(blocks)):
             dx, dy, dz = x - blocks[b, 0], y - blocks[b, 1], z - blocks[b, 2]
             away[b] = dx * dx + dy * dy + dz * dz
-        first = np.argmin(away)
+        first = int(np.argmin(away))
         if away[first] > (reach + widest) ** 2:
             continue
         best, limit, found = reach * reach, reach * ROUNDING, -1
