@@ -161,7 +161,9 @@ def test_what_says_something_else_is_replaced_as_a_whole(folders):
     old = {**COMMITTED, "fig.md": b"once a table"}
     (done,) = publish(made, figures, old, aside)
     assert done.action == "replaced" and read(figures) == new
-    assert "first 101.0 (committed 100.0)" in told([done], "the commit")[0]
+    said = told([done], "the commit")
+    assert "first 101.0 (committed 100.0)" in said[0] and said[1].startswith("0 of 1 figures")
+    assert told(publish(made, figures, old, aside), "the commit") == said  # and so once more, until it is committed
 
 
 def test_a_file_that_is_missing_or_of_an_earlier_build_becomes_as_committed_again(folders):

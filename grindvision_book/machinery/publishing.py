@@ -14,7 +14,8 @@ from grindvision_book.machinery.agreement import Files, differences, files_in, o
 
 @dataclass(frozen=True)
 class Publication:
-    """What became of the files of one name: ``kept`` as committed, ``restored`` from there, ``replaced`` or ``new``.
+    """What became of the files of one name: ``kept`` as committed, ``restored`` from there, ``replaced`` or ``new``, by
+    this build or by an earlier one.
 
     ``reasons`` tell in which data the rebuilt files differ from the commit; ``aside`` names files that somebody else
     had changed, and that were put aside.
@@ -59,7 +60,7 @@ def publish(made: Path, figures: Path, committed: Files, aside: Path, redraw: bo
         reasons = tuple(differences(new, old)) if old else ()
         wanted = new if redraw or reasons or not old else old
         here = of_one_name(there, stem)
-        action = "kept" if here == wanted else "restored" if wanted is old else "replaced" if old else "new"
+        action = "new" if not old else "replaced" if wanted != old else "kept" if here == old else "restored"
         found.append(Publication(stem, action, reasons, _write(wanted, here, old, figures, aside, written)))
     write_text(ledger, json.dumps(written, indent=1, sort_keys=True) + "\n")
     return found
@@ -87,10 +88,10 @@ def _write(
 
 
 def told(publications: Sequence[Publication], origin: str) -> list[str]:
-    """Lines for the terminal: what changed, how many stayed, and where what they were compared with comes from."""
-    kept = sum(publication.action == "kept" for publication in publications)
+    """Lines for the terminal: what changed, how many agree, and where what they were compared with comes from."""
+    agreeing = sum(publication.action in ("kept", "restored") for publication in publications)
     lines = [str(publication) for publication in publications if publication.action != "kept"]
-    return [*lines, f"{kept} of {len(publications)} figures, tables and sets of answers agree with {origin}"]
+    return [*lines, f"{agreeing} of {len(publications)} figures, tables and sets of answers agree with {origin}"]
 
 
 def _files(folder: Path) -> dict[str, bytes]:
