@@ -26,6 +26,17 @@ hypothesis.settings.register_profile("tests", derandomize=True, deadline=None, p
 hypothesis.settings.load_profile("tests")
 
 
+def pytest_collection_modifyitems(items):
+    """A long chapter that this machine has built in the full setting, as it is, has no need of the fast one."""
+    from grindvision_book.machinery.chapters import LONG
+    from grindvision_book.machinery.rebuilding import is_up_to_date
+
+    for item in items:
+        number = item.path.name[:2]
+        if item.path.parent == ROOT / "notebooks" and number in LONG and is_up_to_date(number):
+            item.add_marker(pytest.mark.skip(reason=f"chapter {number} was built here in the full setting as it is"))
+
+
 def pytest_collection_finish():
     """What has been collected stays until the end: the search for garbage need not go through it again and again."""
     gc.collect()

@@ -18,7 +18,7 @@ from grindvision_book.machinery.chapters import chapters
 from grindvision_book.machinery.dependencies import modules_of, modules_of_notebook
 from grindvision_book.machinery.one_at_a_time import only_build
 from grindvision_book.machinery.reading import ReadingPage, write_page
-from grindvision_book.machinery.rebuilding import Outcome, rebuild
+from grindvision_book.machinery.rebuilding import Outcome, is_up_to_date, rebuild
 from grindvision_book.machinery.schedule import Remaining, longest_first, record_seconds, recorded_seconds
 
 TABLE = (
@@ -89,6 +89,15 @@ def test_a_changed_notebook_runs_and_says_why(book):
     outcome = book.rebuild()
     assert not outcome.kept and outcome.note == "changed: notebook" and book.runs == 1
     assert (book.figures / "one.csv").read_text() == "x_mm\n2\n"
+
+
+def test_up_to_date_is_what_the_full_setting_has_built_as_it_is(book, tmp_path):
+    notebooks = book.folder / "notebooks"
+    assert not is_up_to_date("01", notebooks, book.folder / "build")  # by the fast setting alone
+    rebuild(notebooks=notebooks, build=tmp_path / "full", figures=tmp_path / "figures")
+    assert is_up_to_date("01", notebooks, tmp_path / "full")
+    book.write(2.0)
+    assert not is_up_to_date("01", notebooks, tmp_path / "full")
 
 
 @pytest.mark.parametrize("harm", ["torn list", "no list", "other figure", "no copy", "stray file", "other format"])

@@ -11,6 +11,10 @@ from grindvision_book.machinery.places import NOTEBOOKS
 #: The chapter that looks back on all others runs last.
 OVERVIEW = "00"
 
+#: Chapters whose studies take minutes. Every run of the tests runs them in the fast setting, unless this machine has
+#: built them in the full one and nothing has changed; `tests/test_studies_again.py` measures some of their cases.
+LONG = ("08", "09")
+
 
 def chapters(notebooks: Path = NOTEBOOKS) -> dict[str, Path]:
     """Every chapter there is, in order: two digits -> notebook.

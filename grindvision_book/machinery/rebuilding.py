@@ -133,6 +133,18 @@ def rebuild(
     return outcomes
 
 
+def is_up_to_date(number: str, notebooks: Path = NOTEBOOKS, build: Path = BUILD) -> bool:
+    """Whether nothing has changed since a chapter was built here in the full setting, so that ``rebuild`` takes it from
+    there. Not for the chapter that looks back on all others, which depends on their answers.
+
+    Raises:
+        FileError: the notebook cannot be read.
+    """
+    environment = kernel_environment(fast=False, threads=1)
+    entry, _ = kept.find(build / "kept", number, kept.parts_of(number, chapters(notebooks)[number], environment))
+    return entry is not None
+
+
 @dataclass(frozen=True)
 class _Build:
     picked: Mapping[str, Path]
