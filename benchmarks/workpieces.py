@@ -209,13 +209,17 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 
 def race_peers(scenes: Iterable[tuple[int, WorkpieceScene]], names: Sequence[str], path: Path | None = None) -> None:
-    """Print how many poses each peer gets right, of all pairs and of the determined ones; rows of pairs go to ``path``.
+    """Print how many poses each peer gets right, of all pairs and of the determined ones; rows of pairs go to ``path``,
+    and a peer is not asked again for a pair that stands there.
 
     None of them refuses a pair: what is not right is silently wrong.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = rows_of(path) if path else []
+    done = {(row["pair"], row["change"]) for row in rows}
     for pair, scene in scenes:
         for name in names:
+            if (pair, name) in done:
+                continue
             started = time.perf_counter()
             try:
                 error = scene.pose_error_mm(PEERS[name](scene))

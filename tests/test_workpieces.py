@@ -76,3 +76,19 @@ def test_a_table_that_was_cut_off_is_read_back_as_it_was_written(tmp_path):
     for row in (solved, refused):
         append(path, row)
     assert rows_of(path) == [solved, refused]
+
+
+def test_a_peer_is_asked_once_for_each_pair(tmp_path, monkeypatch, capsys):
+    from benchmarks import workpieces
+
+    scene, asked = workpiece_scene("sheet", np.random.default_rng(5), "none", every=8), []
+
+    def right(scene):
+        asked.append(scene)
+        return scene.T_sample_test
+
+    monkeypatch.setitem(workpieces.PEERS, "open3d", right)
+    for pairs in (1, 2, 2):
+        workpieces.race_peers([(pair, scene) for pair in range(pairs)], ["open3d"], tmp_path / "rows.csv")
+    assert len(asked) == 2
+    assert "open3d, all: pose right 2 of 2" in capsys.readouterr().out.splitlines()[-2]
