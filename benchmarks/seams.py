@@ -275,6 +275,8 @@ def table(path: Path) -> None:
     print(pd.crosstab(rows["scene"], rows["verdict"]).to_string())
     print(rows["verdict"].value_counts().to_string())
     held = rows[(rows["verdict"] == "right") & (rows["true_kind"] != "no seam")]
+    if held.empty:
+        return
     shares = held[["mean_mm", "max_mm", "sigma_mm", "within_1", "within_2"]].apply(pd.to_numeric)
     print(shares.groupby(held["scene"]).mean().round(3).to_string())
     print(
