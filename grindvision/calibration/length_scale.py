@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from grindvision.arm import MdhArm
 from grindvision.calibration.structure import Finding
@@ -45,7 +45,7 @@ def length_scale(
     scale = float((lengths * changes)[chosen].sum()) / square
     left = float(((changes - scale * lengths)[chosen] ** 2).sum())
     ratio = abs(scale) / max(np.sqrt(left / (count - 1) / square), 1e-12)
-    chance = 2 * float(student.sf(ratio, count - 1))
+    chance = 2 * float(stdtr(count - 1, -ratio))
     if chance > FALSE_ALARM or not MIN_SCALE < abs(scale) < MAX_SCALE:
         return ()
     rows = np.flatnonzero(long)[np.argsort(-np.abs(lengths[long]))][:3]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from grindvision.calibration.statistics import whitening
 
@@ -23,6 +23,6 @@ def consistent_rows(
     residuals = np.asarray(residuals_mm, dtype=float)
     squared = (np.einsum("mij,mj->mi", whitening(covariances_mm2), residuals) ** 2).sum(axis=1)
     directions = np.broadcast_to(np.asarray(directions), squared.shape)
-    scale = max(float(np.median(squared / chi2.median(directions))), 1e-300)
+    scale = max(float(np.median(squared / chdtri(directions, 0.5))), 1e-300)
     size = np.linalg.norm(residuals, axis=1)
-    return (squared <= scale * chi2.isf(FALSE_ALARM, directions)) | (size < 1e-6)
+    return (squared <= scale * chdtri(directions, FALSE_ALARM)) | (size < 1e-6)
