@@ -46,7 +46,8 @@ def painted(names: ArrayLike, colours: Mapping[str, str], normals: ArrayLike) ->
     from matplotlib.colors import to_rgb
 
     names = np.asarray(names)
-    result = np.array([to_rgb(colours[name]) for name in names.tolist()])
+    groups, group = np.unique(names, return_inverse=True)
+    result = np.array([to_rgb(colours[name]) for name in groups.tolist()])[group]
     bare = names == "neither"
     light = np.array([-0.5, -0.6, -0.62])
     result[bare] = 0.5 + 0.42 * np.abs(np.asarray(normals)[bare] @ light)[:, None]

@@ -58,7 +58,10 @@ def moved_by_twist(twists: ArrayLike, points_base: ArrayLike) -> Floats:
 
 
 def _rotation_about(axes: Floats, origins: Floats) -> Floats:
-    return np.swapaxes(np.concatenate([np.cross(origins, axes), axes], axis=-1), -1, -2)
+    x, y, z = (axes[..., k] for k in range(3))
+    from_x, from_y, from_z = (origins[..., k] for k in range(3))
+    shifts = (from_y * z - from_z * y, from_z * x - from_x * z, from_x * y - from_y * x)
+    return np.stack([*shifts, x, y, z], axis=-2)
 
 
 def _translation_along(axes: Floats) -> Floats:

@@ -199,8 +199,8 @@ def link_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
 def joint_transforms(arm: MdhArm, q_rad: ArrayLike) -> Floats:
     """Transforms T_base_i of the base (identity) and of every joint frame, (..., n + 1, 4, 4)."""
     links = link_transforms(arm, q_rad)
-    chain = [np.broadcast_to(np.eye(4), (*links.shape[:-3], 4, 4))]
-    for i in range(arm.n):
+    chain = [np.broadcast_to(np.eye(4), (*links.shape[:-3], 4, 4)), links[..., 0, :, :]]
+    for i in range(1, arm.n):
         chain.append(chain[-1] @ links[..., i, :, :])
     return np.stack(chain, axis=-3)
 

@@ -172,7 +172,7 @@ def suggest_poses(
     for _ in range(count):
         pulled = offered @ covariance
         inner = np.linalg.inv(pulled @ np.swapaxes(offered, 1, 2) + noise)
-        gains = np.einsum("cij,cjk,kl,cil->c", inner, pulled, weight, pulled)
+        gains = ((inner @ pulled) * (pulled @ weight)).sum(axis=(1, 2))
         gains[taken] = -np.inf
         best = int(np.argmax(np.round(gains, 12)))
         taken.append(best)

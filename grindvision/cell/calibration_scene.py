@@ -12,7 +12,7 @@ from grindvision.arm import joint_twists, moved_by_twist
 from grindvision.cell.arms import JOINT_LIMITS_RAD, GrindingRobot, LaserTracker
 from grindvision.cell.spheres import SPHERE_RADIUS_MM, measure_sphere, nest_directions, sphere_centre_errors
 from grindvision.errors import InputError, SightError
-from grindvision.geometry import inverse, move_points, small_motion
+from grindvision.geometry import inverse, small_motion
 from grindvision.records import by_content
 
 Floats = NDArray[np.float64]
@@ -163,7 +163,8 @@ def measured(
     centres = plan.centres_mm[plan.sphere]
     if every is None:
         poses = robot.move(plan.q_rad, rng)
-        true = np.stack([move_points(inverse(pose), centre) for pose, centre in zip(poses, centres, strict=True)])
+        T_scanner_base = inverse(poses)
+        true = (centres[:, None] @ np.swapaxes(T_scanner_base[:, :3, :3], 1, 2))[:, 0] + T_scanner_base[:, :3, 3]
         scanned = true + sphere_centre_errors(robot.scanner, true, nest_directions(poses), rng)
     else:
         poses, scanned = np.empty((len(centres), 4, 4)), np.empty((len(centres), 3))

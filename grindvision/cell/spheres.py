@@ -15,7 +15,7 @@ from grindvision.cell.scanners import Scanner
 from grindvision.cell.solids import Shape, Solid
 from grindvision.errors import DegenerateError, SightError
 from grindvision.extras import extra
-from grindvision.geometry import SphereFit, inverse, move_points, rigid, rotate_vectors
+from grindvision.geometry import SphereFit, inverse, move_points, rigid
 from grindvision.geometry.ransac import ransac_sphere
 from grindvision.records import by_content
 
@@ -157,7 +157,7 @@ def sphere_centre_errors(
     min_cosine = 0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg))
     for eye in (np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])):
         way = eye - points
-        seen &= np.einsum("kij,kij->ki", way, normals) > min_cosine * np.sqrt(np.einsum("kij,kij->ki", way, way))
+        seen &= _products(way, normals) > min_cosine * np.sqrt(_products(way, way))
     systematic = scanner.systematic_mm(points.reshape(-1, 3)).reshape(seen.shape)
     z = points[:, :, 2]
     pixels = np.pi * (SPHERE_RADIUS_MM * scanner.focal_px / z) ** 2
@@ -165,7 +165,7 @@ def sphere_centre_errors(
     disparity = np.sqrt(errors.triangulation_px**2 + smoothed * errors.correlated_px**2)
     sigma = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(disc.sum() / pixels)
     error = systematic + sigma * rng.standard_normal(seen.shape)
-    along = np.einsum("kij,kij->ki", normals, points) / z * error
+    along = _products(normals, points) / z * error
     weighted = np.swapaxes(normals * seen[:, :, None], 1, 2)
     system = weighted @ normals
     if np.linalg.cond(system).max() > 1e6:
@@ -173,6 +173,11 @@ def sphere_centre_errors(
     return np.linalg.solve(system, weighted @ along[:, :, None])[:, :, 0]
 
 
+def _products(a: Floats, b: Floats) -> Floats:
+    """Inner products (K, N) of vectors (K, N, 3)."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
 def nest_directions(T_base_scanner: ArrayLike) -> Floats:
     """Downward direction (K, 3) in the scanner frames of poses (K, 4, 4)."""
-    return np.stack([rotate_vectors(inverse(pose), [0.0, 0.0, -1.0]) for pose in np.asarray(T_base_scanner)])
+    return -np.asarray(T_base_scanner, dtype=float)[:, 2, :3]

@@ -15,8 +15,10 @@ import contextlib
 import hashlib
 import os
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Generator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -32,6 +34,7 @@ from grindvision_book.studies.rows import OWN_COLUMNS, BusyError, RowsFile, as_t
 
 if TYPE_CHECKING:
     import pandas as pd
+    from threadpoolctl import ThreadpoolController
 
 #: A case: ``measure(rng=..., **parameters)`` gives named numbers, texts or booleans, and nothing else happens.
 Measure = Callable[..., Mapping[str, Any]]
@@ -165,7 +168,6 @@ def _finished(rows: RowsFile, parameters: dict[int, dict[str, Any]], seed: int, 
 def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int) -> dict[str, Any]:
     """One row: runs on a worker."""
     import numba
-    from threadpoolctl import threadpool_limits
 
     row = {"case": case, **parameters}
     given = {name: value for name, value in parameters.items() if name != "stream"}
@@ -174,7 +176,7 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
         threads = numba.get_num_threads()
         numba.set_num_threads(1)
     try:
-        with threadpool_limits(1):
+        with _thread_pools(len(sys.modules)).limit(limits=1):
             values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
     except GrindvisionError as error:
         return {**row, "error": " ".join(f"{type(error).__name__}: {error}".split())}
@@ -186,6 +188,15 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
     if clash:
         raise RuntimeError(f"case {case}: result {clash[0]!r} is named like a parameter or a reserved column")
     return {**row, "error": "", **values}
+
+
+@lru_cache(maxsize=1)
+def _thread_pools(_modules: int) -> ThreadpoolController:
+    """Control over the threads of numerical libraries; they are sought anew, which takes milliseconds, when modules
+    have been imported."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _here(

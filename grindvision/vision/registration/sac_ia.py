@@ -9,6 +9,7 @@ Huber's error (Eq 6) of the **squared** distance, compared with a threshold that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,14 @@ from grindvision.parallel import one_blas_thread
 from grindvision.records import by_content
 from grindvision.vision.surface.keypoints import Keypoints, most_similar
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_BATCH = 1000
+"""Poses computed at once."""
 
 
 @by_content
@@ -65,33 +73,69 @@ def sac_ia_paper(
     t_e = 5 * target.spacing_mm if threshold_mm is None else float(threshold_mm)
     tree = cKDTree(target.points)
     alike = most_similar(source.features, target.features, similar)
-
-    few = source.points[:: max(len(source) // 50, 1)]
-
-    def penalties(transform: Floats, points: Floats) -> Floats:
-        distances, _ = tree.query(move_points(transform, points))
-        return huber(distances**2, t_e)
-
-    def error(transform: Floats, least: float = np.inf) -> float:
-        if penalties(transform, few).sum() > (1 + 1e-9) * least * len(source):
-            return np.inf  # a few points are already farther off than all points of the best pose
-        return float(penalties(transform, source.points).mean())
-
     best, least = np.eye(4), np.inf
-    for _ in range(iterations):
-        samples, d_min = _spread_samples(source.points, d_min, rng)
-        partners = alike[samples, rng.integers(similar, size=3)]
-        try:
-            transform = fit_rigid(source.points[samples], target.points[partners]).T_target_source
-        except DegenerateError:
-            continue
-        value = error(transform, least)
-        if value < least:
-            best, least = transform, value
+    for first in range(0, iterations, _BATCH):
+        drawn = []
+        for _ in range(first, min(first + _BATCH, iterations)):
+            samples, d_min = _spread_samples(source.points, d_min, rng)
+            drawn.append((samples, alike[samples, rng.integers(similar, size=3)]))
+        threes = np.array(drawn)
+        poses, defined = _poses_of_threes(source.points[threes[:, 0]], target.points[threes[:, 1]])
+        found, least = _best_pose(poses[defined], source.points, tree, t_e, least)
+        if found >= 0:
+            samples, partners = threes[defined][found]
+            best = fit_rigid(source.points[samples], target.points[partners]).T_target_source
+            least = float(_penalties(best, source.points, tree, t_e).mean())
     if refine:
         best = refine_pose(source.points, target.points, best, t_e)
-        least = error(best)
+        least = float(_penalties(best, source.points, tree, t_e).mean())
     return CoarseRegistration(best, least, iterations)
+
+
+def _poses_of_threes(source: Floats, target: Floats) -> tuple[Floats, Flags]:
+    """Poses (K, 4, 4) as ``fit_rigid`` finds them of three points each (K, 3, 3), and whether these lie on no line."""
+    thirds, defined = np.full(3, 1 / 3), np.ones(len(source), dtype=bool)
+    centres = [thirds @ points for points in (source, target)]
+    apart = [points - centre[:, None] for points, centre in zip((source, target), centres, strict=True)]
+    for points, differences in zip((source, target), apart, strict=True):
+        singular = np.linalg.svd(np.sqrt(1 / 3) * differences, compute_uv=False)
+        sizes = np.abs(points).max(axis=(1, 2)) * 1e-6
+        defined &= singular[:, 1] > 1e-9 * np.maximum(singular[:, 0], sizes)
+    u, _, vt = np.linalg.svd(apart[1].swapaxes(1, 2) @ (apart[0] / 3))
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    poses = np.tile(np.eye(4), (len(source), 1, 1))
+    poses[:, :3, :3] = u @ vt
+    poses[:, :3, 3] = centres[1] - (poses[:, :3, :3] @ centres[0][:, :, None])[:, :, 0]
+    return poses, defined
+
+
+def _best_pose(poses: Floats, points: Floats, tree: cKDTree, threshold: float, least: float) -> tuple[int, float]:
+    """Index of the pose of least mean penalty, and that penalty; -1 and ``least``, where none has less than that.
+
+    A pose is given up when a part of the points is farther off already than all points of the best pose; the most
+    promising poses come first.
+    """
+    step, found = max(len(points) // 50, 1), -1
+    spread = points[np.argsort(np.arange(len(points)) % step, kind="stable")]
+    first, *further = np.split(spread, [len(points[::step]) * 3**k for k in range(3)])
+    moved = first @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    sums = huber(tree.query(moved)[0] ** 2, threshold).sum(axis=1)
+    for pose in np.argsort(sums, kind="stable"):
+        total = sums[pose]
+        for part in further:
+            if total > (1 + 1e-9) * least * len(points):
+                break
+            total += _penalties(poses[pose], part, tree, threshold).sum()
+        else:
+            value = float(_penalties(poses[pose], points, tree, threshold).mean())
+            if value < least or (value == least and pose < found):
+                least, found = value, int(pose)
+    return found, least
+
+
+def _penalties(pose: Floats, points: Floats, tree: cKDTree, threshold: float) -> Floats:
+    """Penalties (N,) of the squared distances of points (N, 3), moved by a pose, from those of a tree."""
+    return huber(tree.query(move_points(pose, points))[0] ** 2, threshold)
 
 
 def huber(errors: ArrayLike, threshold: float) -> Floats:
