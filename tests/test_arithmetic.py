@@ -52,7 +52,7 @@ class Instruments:
         self.left = iter(())
         for name in ("_scan_of_spot", "measured"):
             monkeypatch.setattr(compound, name, self.once(getattr(compound, name)))
-        monkeypatch.setattr(registered.RegisteredPair, "of", self.moved(registered.RegisteredPair.of))
+        monkeypatch.setattr(registered.RegisteredPair, "near", self.moved(registered.RegisteredPair.near))
         monkeypatch.setattr(registered.RegisteredPair, "with_test", self.moved(registered.RegisteredPair.with_test))
         monkeypatch.setattr(compound, "Measurements", self.measurements)
 

@@ -1,5 +1,7 @@
 """The whole chain: without errors it finds the true ridge, with them it stays near, and a case repeats exactly."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from grindvision import cell
 from grindvision.cell.experiment4 import printed_path
 from grindvision.geometry import angle_between, move_points
+from grindvision_book.chapter_08 import compound
 from grindvision_book.chapter_08.compound import (
     ORIENTATIONS_DEG,
     SOURCES,
@@ -14,8 +17,9 @@ from grindvision_book.chapter_08.compound import (
     compound_paths,
     off_ridge,
     spreads,
-    workplace,
 )
+from grindvision_book.chapter_08.registered import RegisteredPair, pairs_from_fixture
+from grindvision_book.chapter_08.workplace import workplace
 from grindvision_book.chapter_09.limits import displacement
 
 
@@ -83,3 +87,16 @@ def test_a_spread_is_the_largest_minus_the_smallest_coordinate():
         }
     )
     np.testing.assert_array_equal(spreads(paths).to_numpy(), [[1, 5, 6, 0], [2, 0.5, 0, 3]])
+
+
+def test_a_pair_known_to_the_fixture_ends_where_one_registered_from_nothing_does(monkeypatch):
+    """From four standard deviations off in every coordinate, too."""
+    seen = []
+    monkeypatch.setattr(compound, "pairs_from_fixture", lambda *given: seen.append(given) or pairs_from_fixture(*given))
+    compound_case(np.random.default_rng(1))
+    ((sample, tests, believed, _),) = seen
+    known = RegisteredPair.of(sample.points, tests[0].points).registration.T_target_source
+    for sign in (-1.0, 1.0):
+        drawn = SimpleNamespace(standard_normal=lambda count, sign=sign: np.full(count, 4 * sign))
+        found = pairs_from_fixture(sample, tests[:1], believed[:1], drawn)[0].registration.T_target_source
+        assert np.abs(move_points(found, tests[0].points) - move_points(known, tests[0].points)).max() < 1e-4

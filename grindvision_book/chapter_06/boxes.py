@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from scipy.spatial import cKDTree
 
 from grindvision.geometry import move_points, vector_angle
 from grindvision.geometry.curves import Curve
+from grindvision.geometry.hash_grid import build_cells
+from grindvision.geometry.neighbours import nearest
 from grindvision.vision.change.change_detection import find_change_paper
 from grindvision.vision.change.oriented_box import BoxPath, box_path
 from grindvision.vision.surface.scan import Scan
@@ -42,14 +44,19 @@ def paper_path(
     """
     low, high = piece.min(axis=0) - CROP_MM, piece.max(axis=0) + CROP_MM
     crop = test.points[_between(test.points, low, high)]
-    near = crop[cKDTree(piece).query(crop, distance_upper_bound=CROP_MM)[0] < CROP_MM]
+    near = crop[nearest(build_cells(piece, CROP_MM), crop, CROP_MM)[1] < CROP_MM]
     moved = move_points(T_sample_test, near)
     reach = 5 * threshold_mm
     around = _between(sample.points, moved.min(axis=0) - reach, moved.max(axis=0) + reach)
-    far = find_change_paper(moved, sample.points[around], threshold_mm, squared)
+
+    def search(cloud: Floats, queries: Floats) -> Floats:
+        return nearest(build_cells(cloud, 2 * threshold_mm), queries, reach)[1]
+
+    far = find_change_paper(moved, sample.points[around], threshold_mm, squared, search)
+    path = box_path(near[far], near, np.zeros_like(near), points)
     surfels = _between(test.surfels.points, low - CROP_MM, high + CROP_MM)
-    at = cKDTree(test.surfels.points[surfels]).query(near)[1]
-    return box_path(near[far], near, test.surfels.normals[surfels][at], points)
+    at = cKDTree(test.surfels.points[surfels]).query(path.points)[1]
+    return replace(path, normals=test.surfels.normals[surfels][at])
 
 
 @dataclass(frozen=True)

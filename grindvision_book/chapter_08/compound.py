@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from grindvision.calibration import Measurements, Options, ScannerOnArm, calibrate
 from grindvision.cell import (
@@ -30,19 +29,24 @@ from grindvision.cell import (
     measured,
     misaligned_tracker,
 )
-from grindvision.cell.experiment4 import printed_path, twin_part
-from grindvision.cell.grinding_part import Bead
 from grindvision.errors import DegenerateError
 from grindvision.geometry import inverse, move_points, rotate_vectors, rotation_about, vector_angle
 from grindvision.vision.change.oriented_box import BoxPath
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
-from grindvision_book.chapter_08.offsets import square_to
-from grindvision_book.chapter_08.registered import RegisteredPair, pairs_in_place, registered_pairs
+from grindvision_book.chapter_08.registered import (
+    RegisteredPair,
+    pairs_from_fixture,
+    pairs_from_nothing,
+    pairs_in_place,
+)
+from grindvision_book.chapter_08.workplace import Workplace, workplace
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Floats = NDArray[np.float64]
+
+COORDINATES = ["x_mm", "y_mm", "z_mm"]
 
 #: Commanded angles of joints 1 to 4. D1 comes nearest to the pose that Tables 3 and 4 imply; the paper does not state
 #: D2 to D4: these see the same spot from the same side of the arm, turned by 30 to 65 deg.
@@ -58,49 +62,6 @@ SOURCES = ("scanner_noise", "field_distortion", "registration", "joint_repeatabi
 
 #: Scanner errors that are new in every point; the others are the same in every scan of one instrument.
 RANDOM_ERRORS = ("white_mm", "triangulation_px", "correlated_px", "mixed_pixels")
-
-
-@dataclass(frozen=True)
-class Workplace:
-    """The twin's part where the robot finds it: ``bead`` in the base frame, both solids to scan, ``T_base_part``.
-
-    ``T_base_scanner`` is the pose that Tables 3 and 4 imply.
-    """
-
-    bead: Bead
-    good: Target
-    faulty: Target
-    T_base_part: Floats
-    T_base_scanner: Floats
-
-    def compared(self, found: Floats) -> tuple[Floats, Floats, Floats]:
-        """Found path points (n, 3), base frame and in order, against the true ridge.
-
-        Returns the vectors (n, 3) from the ridge to the points, square to it; how far (n,) each point lies along the
-        ridge from the middle of its equal part of the bead, where at least half as high; the true normals (n, 3).
-        """
-        ridge = self.bead.ridge_mm
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ridge, axis=0), axis=1))])
-        tangents = np.gradient(ridge, arc, axis=0)
-        _, near = cKDTree(ridge).query(found)
-        along = np.einsum("ij,ij->i", found - ridge[near], tangents[near])
-        rounded = self.bead.width_mm / 2 * (1 - np.sqrt(0.75))
-        middles = rounded + (arc[-1] - 2 * rounded) * (np.arange(len(found)) + 0.5) / len(found)
-        return square_to(ridge, found), arc[near] + along - middles, self.bead.normals[near]
-
-
-@cache
-def workplace(bead_height_mm: float = 1.5) -> Workplace:
-    """Experiment 4's twin with a bead of the height given, in the base frame."""
-    path = printed_path()
-    part, T_scanner_part = twin_part(path, height_mm=bead_height_mm)
-    T_base_part = path.T_base_scanner @ T_scanner_part
-    bead = replace(
-        part.bead,
-        ridge_mm=move_points(T_base_part, part.bead.ridge_mm),
-        normals=rotate_vectors(T_base_part, part.bead.normals),
-    )
-    return Workplace(bead, Target(part.sample), Target(part.test), T_base_part, path.T_base_scanner)
 
 
 def compound_paths(
@@ -121,7 +82,8 @@ def compound_paths(
     Args:
         rng: draws instrument, tracker, calibration, the sample's place and all noise.
         around_mm: the test scans keep a square of this half side around the bead, the sample's a square as wide as
-            its diagonal; None keeps the whole field, and registers each orientation from nothing.
+            its diagonal, and both parts are known to stand in one fixture (``pairs_from_fixture``); None keeps the
+            whole field, and registers each orientation from nothing.
         points: path points.
 
     Returns:
@@ -132,8 +94,16 @@ def compound_paths(
         DegenerateError: registration or path failed, as ``detect`` says.
     """
     place = workplace()
-    pairs, believed = _registered(rng, place, scanner_noise, field_distortion, registration, joint_repeatability,
-                                  calibration, around_mm)  # fmt: skip
+    pairs, believed = _registered(
+        rng,
+        place,
+        registration,
+        around_mm,
+        scanner_noise=scanner_noise,
+        field_distortion=field_distortion,
+        joint_repeatability=joint_repeatability,
+        calibration=calibration,
+    )
     return _compared(place, believed, [trace_bead(pair.piece(), points) for pair in pairs])
 
 
@@ -159,17 +129,50 @@ def compound_case(rng: np.random.Generator, boxes: bool = False, **settings: Any
     return found | {f"boxes_{name}": value for name, value in others.items()}
 
 
+def whole_field_case(rng: np.random.Generator) -> dict[str, float]:
+    """``compound_case`` on whole fields, each registered from nothing, and what that changes.
+
+    ``apart_mm`` is the largest distance of its 24 path points from those that the same surfels give under the
+    registrations from the fixture, as in a window.
+    """
+    place = workplace()
+    sample, tests, believed = _scans(rng, place, around_mm=None)
+    pairs, known = pairs_from_nothing(sample, tests), pairs_from_fixture(sample, tests, believed, rng)
+    others = [pair.at(one.registration.T_target_source) for pair, one in zip(pairs, known, strict=True)]
+    paths, again = (
+        _compared(place, believed, [trace_bead(pair.piece(), 6) for pair in way]) for way in (pairs, others)
+    )
+    apart = (paths[COORDINATES] - again[COORDINATES]).pow(2).sum(axis=1).max() ** 0.5
+    return {**_in_numbers(paths), "apart_mm": float(apart)}
+
+
 def _registered(
+    rng: np.random.Generator,
+    place: Workplace,
+    registration: bool = True,
+    around_mm: float | None = 25.0,
+    **sources: bool,
+) -> tuple[list[RegisteredPair], list[Floats]]:
+    """One robot cell's four registered pairs, and the poses T_base_scanner (4, 4) that it believes."""
+    sample, tests, believed = _scans(rng, place, around_mm=around_mm, **sources)
+    if not registration:
+        return pairs_in_place(sample, tests), believed
+    if around_mm is None:
+        return pairs_from_nothing(sample, tests), believed
+    return pairs_from_fixture(sample, tests, believed, rng), believed
+
+
+def _scans(
     rng: np.random.Generator,
     place: Workplace,
     scanner_noise: bool = True,
     field_distortion: bool = True,
-    registration: bool = True,
     joint_repeatability: bool = True,
     calibration: bool = True,
     around_mm: float | None = 25.0,
-) -> tuple[list[RegisteredPair], list[Floats]]:
-    """One robot cell's four registered pairs, and the poses T_base_scanner (4, 4) that it believes."""
+) -> tuple[Scan, list[Scan], list[Floats]]:
+    """One robot cell's scans of the good part and from the four orientations, and the poses T_base_scanner (4, 4) that
+    it believes."""
     robot, tracker, calibrated, rng.bit_generator.state = _drawn_cell(pickle.dumps(rng))
     instrument = robot.scanner
     left_out = [*(() if scanner_noise else RANDOM_ERRORS), *(() if field_distortion else ("distortion_mm", "scale"))]
@@ -185,9 +188,7 @@ def _registered(
         believed.append(_believed_pose(calibrated, tracker, q_rad) if calibration else robot.exact_poses(q_rad))
     wider_mm = None if around_mm is None else np.sqrt(2) * around_mm
     sample = _scan_of_spot(place, place.good, scanner, _view_of_good_part(place, scanner, rng), rng, wider_mm)
-    if not registration:
-        return pairs_in_place(sample, tests), believed
-    return registered_pairs(sample, tests, None if around_mm is None else believed), believed
+    return sample, tests, believed
 
 
 def _compared(place: Workplace, believed: list[Floats], found_paths: Sequence[BeadPath | BoxPath]) -> pd.DataFrame:
@@ -202,13 +203,13 @@ def _compared(place: Workplace, believed: list[Floats], found_paths: Sequence[Be
         off, slip, true_normals = place.compared(found)
         tilt = np.degrees(vector_angle(normals, true_normals))
         rows += [(name, i + 1, *found[i], *normals[i], *off[i], slip[i], tilt[i]) for i in range(len(found))]
-    columns = ["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_x_mm", "off_y_mm", "off_z_mm", "slip_mm"]
+    columns = [*COORDINATES, "nx", "ny", "nz", "off_x_mm", "off_y_mm", "off_z_mm", "slip_mm"]
     return pd.DataFrame(rows, columns=["orientation", "point", *columns, "normal_off_deg"])
 
 
 def _in_numbers(paths: pd.DataFrame) -> dict[str, float]:
     apart = spreads(paths)
-    coordinates = paths[["x_mm", "y_mm", "z_mm"]]
+    coordinates = paths[COORDINATES]
     from_middle = coordinates - coordinates.groupby(paths["point"]).transform("mean")
     off = off_ridge(paths)
     lengths = np.linalg.norm(off, axis=1)
@@ -224,7 +225,7 @@ def _in_numbers(paths: pd.DataFrame) -> dict[str, float]:
 
 def spreads(paths: pd.DataFrame) -> pd.DataFrame:
     """How far corresponding points lie apart, largest minus smallest coordinate: ``point, x_mm, y_mm, z_mm``."""
-    by_point = paths.groupby("point")[["x_mm", "y_mm", "z_mm"]]
+    by_point = paths.groupby("point")[COORDINATES]
     return (by_point.max() - by_point.min()).reset_index()
 
 

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from grindvision.cell import Scan
 from grindvision.errors import DegenerateError
-from grindvision.geometry import inverse
+from grindvision.geometry import inverse, small_motion
 from grindvision.vision.change.change_detection import find_change
 from grindvision.vision.change.oriented_box import BoxPath
 from grindvision.vision.change.pieces import Cluster
 from grindvision.vision.registration.icp import FineRegistration
+from grindvision.vision.registration.plane_icp import icp_planes
 from grindvision.vision.registration.scan_registration import propose, refine, refine_from
 from grindvision.vision.registration.verification import choose_pose
 from grindvision.vision.surface.scan import Resolution, choose_resolution, coarser, prepare_pair, prepare_scan
@@ -21,6 +22,11 @@ from grindvision.vision.surface.scan import Scan as PreparedScan
 from grindvision_book.chapter_06.boxes import paper_path
 
 Floats = NDArray[np.float64]
+
+#: How well stops put two parts of one kind in the same place: standard deviations of each coordinate, of each turn.
+FIXTURE_MM, FIXTURE_DEG = 0.5, 0.2
+#: So far apart the surfaces may then be, by four standard deviations of the place and what the turns add.
+FIXTURE_REACH_MM = 3.0
 
 
 @dataclass(frozen=True)
@@ -45,12 +51,24 @@ class RegisteredPair:
         return cls(sample, test, refine(test, sample, coarse, refining))
 
     @classmethod
-    def near(cls, sample_points: Floats, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
-        """``of`` for scans whose pose (4, 4) is known well: ICP alone, from there."""
+    def near(
+        cls, sample_points: Floats, test_points: Floats, T_sample_test: Floats, within_mm: float = 0.0
+    ) -> RegisteredPair:
+        """``of`` for scans whose pose (4, 4) is known well: ICP alone, from there.
+
+        Where it is known to ``within_mm`` only, the coarse voxels come near first.
+
+        Raises:
+            DegenerateError: the scans do not meet there.
+        """
         sizes = coarser(choose_resolution(test_points), choose_resolution(sample_points))
         test, sample = (
             prepare_scan(points, sizes, np.zeros(3), feature_voxels=None) for points in (test_points, sample_points)
         )
+        if within_mm > 0:
+            coarse = test.voxels
+            nearer = icp_planes(coarse.points, coarse.normals, sample.surfels, T_sample_test, within_mm)
+            T_sample_test = nearer.T_target_source
         return cls(sample, test, refine_from(test, sample, T_sample_test, _draws()[2]))
 
     def with_test(self, test_points: Floats, T_sample_test: Floats) -> RegisteredPair:
@@ -101,11 +119,19 @@ def pairs_in_place(sample: Scan, tests: list[Scan]) -> list[RegisteredPair]:
     return [pair.at(pose) for pair, pose in zip([first, *others], truth, strict=True)]
 
 
-def registered_pairs(sample: Scan, tests: list[Scan], believed: list[Floats] | None) -> list[RegisteredPair]:
-    """Register the scans: each from nothing, or all but the first from where the calibrated arm says they are."""
-    if believed is None:
-        return [RegisteredPair.of(sample.points, test.points) for test in tests]
-    first = RegisteredPair.of(sample.points, tests[0].points)
+def pairs_from_nothing(sample: Scan, tests: list[Scan]) -> list[RegisteredPair]:
+    """Register each test scan with the sample's, with nothing known of where it was taken."""
+    return [RegisteredPair.of(sample.points, test.points) for test in tests]
+
+
+def pairs_from_fixture(
+    sample: Scan, tests: list[Scan], believed: list[Floats], rng: np.random.Generator
+) -> list[RegisteredPair]:
+    """Register the scans from where they should be: the first as the fixture holds both parts, which is drawn, the
+    others from where the calibrated arm says that the scanner went from there, ``believed`` T_base_scanner (4, 4)."""
+    misplaced = small_motion(rng.standard_normal(6) * np.repeat([FIXTURE_MM, np.radians(FIXTURE_DEG)], 3))
+    roughly = inverse(sample.T_world_scanner) @ misplaced @ tests[0].T_world_scanner
+    first = RegisteredPair.near(sample.points, tests[0].points, roughly, FIXTURE_REACH_MM)
     T_sample_base = first.registration.T_target_source @ inverse(believed[0])
     moved = zip(tests[1:], believed[1:], strict=True)
     return [first, *(first.with_test(test.points, T_sample_base @ pose) for test, pose in moved)]
