@@ -92,7 +92,12 @@ def test_a_spread_is_the_largest_minus_the_smallest_coordinate():
 def test_a_pair_known_to_the_fixture_ends_where_one_registered_from_nothing_does(monkeypatch):
     """From four standard deviations off in every coordinate, too."""
     seen = []
-    monkeypatch.setattr(compound, "pairs_from_fixture", lambda *given: seen.append(given) or pairs_from_fixture(*given))
+
+    def watched(*given):
+        seen.append(given)
+        return pairs_from_fixture(*given)
+
+    monkeypatch.setattr(compound, "pairs_from_fixture", watched)
     compound_case(np.random.default_rng(1))
     ((sample, tests, believed, _),) = seen
     known = RegisteredPair.of(sample.points, tests[0].points).registration.T_target_source

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from grindvision import caches
 from grindvision.clouds import write_ply
 from grindvision.kernels import sources_of
 from tests.grinding_scene import arc_bead, pair
 from tests.groove_scenes import straight_groove
+from tests.hand_eye_scene import looking_poses, seen_points, sphere_view
+from tests.seam_scenes import corner
 
 #: Root obeys no rights, unless it gives that up.
 UNPRIVILEGED = ["setpriv", "--bounding-set=-all"] if os.name == "posix" and os.getuid() == 0 else []
@@ -85,7 +88,9 @@ from grindvision import kernels
 from grindvision.cli import main
 assert main(["compile"]) == 0
 before = kernels.compiled
-for door in ("detect s.ply t.ply", "grind s.ply t.ply", "groove g.ply", "groove g.ply --variant paper"):
+doors = ["detect s.ply t.ply", "grind s.ply t.ply", "groove g.ply", "groove g.ply --variant paper", "groove c.ply"]
+doors.append("hand-eye poses.csv " + " ".join(f"v{k}.ply" for k in range(8)) + " --rotation ur --target sphere:38.1")
+for door in doors:
     assert main([*door.split(), "-o", "out"]) == 0
 assert kernels.compiled == before, "compiled by a tool, not beforehand"
 """
@@ -93,7 +98,17 @@ assert kernels.compiled == before, "compiled by a tool, not beforehand"
 
 def test_after_compile_no_tool_compiles(tmp_path):
     scene = pair(seed=3, n_points=12_000, beads=[arc_bead()])
-    clouds = {"s": scene.sample, "t": scene.test, "g": straight_groove(np.random.default_rng(1))[0]}
+    rng = np.random.default_rng(1)
+    clouds = {
+        "s": scene.sample,
+        "t": scene.test,
+        "g": straight_groove(rng)[0],
+        "c": corner(rng) * [1.0, -1.0, -1.0] + [0, 0, 400.0],
+    }
+    poses = looking_poses(rng, 8)
+    clouds |= {f"v{k}": sphere_view(seen, 19.05, rng) for k, seen in enumerate(seen_points(poses, rng))}
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+    np.savetxt(tmp_path / "poses.csv", np.hstack([poses[:, :3, 3], turns]), delimiter=",")
     for name, points in clouds.items():
         write_ply(tmp_path / f"{name}.ply", points)
     run = subprocess.run([sys.executable, "-c", USE], cwd=tmp_path, capture_output=True, text=True)

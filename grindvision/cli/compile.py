@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 EPILOG = """\
-Kernels are compiled for this processor where they are first used, some half a minute in all, and kept. This does it
+Kernels are compiled for this processor where they are first used, some two minutes in all, and kept. This does it
 beforehand, by running the tools on small scans of its own; what is compiled already is not compiled again.
 
 exit code: 0 done, 1 anything else
@@ -101,6 +101,9 @@ def _works(folder: Path) -> Iterator[list[str]]:
     yield ["grind", str(folder / "sample.ply"), str(folder / "test.ply")]
     yield ["groove", str(folder / "groove.ply")]
     yield ["groove", str(folder / "groove.ply"), "--variant", "paper"]
+    write_ply(folder / "corner.ply", _corner(rng))
+    yield ["groove", str(folder / "corner.ply")]
+    yield ["hand-eye", *_sphere_views(folder, rng), "--rotation", "rotation-vector", "--target", "sphere:40"]
 
 
 def _plate(rng: np.random.Generator, bead_mm: float) -> np.ndarray:
@@ -149,3 +152,35 @@ def _groove(rng: np.random.Generator) -> np.ndarray:
     x, y = x + rng.uniform(-0.3, 0.3, x.size), y + rng.uniform(-0.3, 0.3, x.size)
     depth = np.clip(6 * (1 - np.abs(y) / 5), 0, None)
     return np.column_stack([x, y, 500.0 + depth + 0.05 * rng.standard_normal(x.size)])
+
+
+def _corner(rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 3) of two plates that meet at a right angle, seen from 500 mm above."""
+    import numpy as np
+
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(-45, 45, 1.0), np.arange(-28, 28, 0.7)))
+    return np.column_stack([x, y, 500.0 - np.abs(y)]) + 0.1 * rng.standard_normal((x.size, 3))
+
+
+def _sphere_views(folder: Path, rng: np.random.Generator) -> list[str]:
+    """Files of eight poses of a flange, as rotation vectors, and of what a camera on it sees of a sphere."""
+    import numpy as np
+
+    from grindvision.clouds import write_ply
+    from grindvision.geometry import inverse, move_points, rigid, rotation_about
+
+    T_flange_camera = rigid(translation_mm=(60.0, -30.0, 80.0))
+    rows, clouds = [], []
+    for number in range(8):
+        turn = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.4, 0.4, 3)
+        rotation = rotation_about(turn, float(np.linalg.norm(turn)))
+        seen_at = np.array([*rng.uniform(-60, 60, 2), rng.uniform(330, 470)])
+        T_base_flange = rigid(rotation, np.array([500.0, 100.0, 50.0]) - rotation @ seen_at) @ inverse(T_flange_camera)
+        rays = rng.standard_normal((6000, 3))
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        cap = seen_at + 20.0 * rays[rays @ seen_at < -0.25 * np.linalg.norm(seen_at)]
+        rows.append([*move_points(T_base_flange, np.zeros(3)), *turn])
+        clouds.append(str(folder / f"sphere{number}.ply"))
+        write_ply(clouds[-1], cap + 0.1 * rng.standard_normal(cap.shape))
+    np.savetxt(folder / "poses.csv", rows, "%.6f", ",")
+    return [str(folder / "poses.csv"), *clouds]
