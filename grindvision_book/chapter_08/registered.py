@@ -124,13 +124,18 @@ def pairs_from_nothing(sample: Scan, tests: list[Scan]) -> list[RegisteredPair]:
     return [RegisteredPair.of(sample.points, test.points) for test in tests]
 
 
+def fixture_pose(sample: Scan, test: Scan, rng: np.random.Generator) -> Floats:
+    """T_sample_test (4, 4) as it would be if stops put both parts in the same place; how far they miss is drawn."""
+    misplaced = small_motion(rng.standard_normal(6) * np.repeat([FIXTURE_MM, np.radians(FIXTURE_DEG)], 3))
+    return inverse(sample.T_world_scanner) @ misplaced @ test.T_world_scanner
+
+
 def pairs_from_fixture(
     sample: Scan, tests: list[Scan], believed: list[Floats], rng: np.random.Generator
 ) -> list[RegisteredPair]:
     """Register the scans from where they should be: the first as the fixture holds both parts, which is drawn, the
     others from where the calibrated arm says that the scanner went from there, ``believed`` T_base_scanner (4, 4)."""
-    misplaced = small_motion(rng.standard_normal(6) * np.repeat([FIXTURE_MM, np.radians(FIXTURE_DEG)], 3))
-    roughly = inverse(sample.T_world_scanner) @ misplaced @ tests[0].T_world_scanner
+    roughly = fixture_pose(sample, tests[0], rng)
     first = RegisteredPair.near(sample.points, tests[0].points, roughly, FIXTURE_REACH_MM)
     T_sample_base = first.registration.T_target_source @ inverse(believed[0])
     moved = zip(tests[1:], believed[1:], strict=True)

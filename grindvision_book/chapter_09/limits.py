@@ -23,7 +23,7 @@ from grindvision.geometry import inverse, move_points, rigid, small_motion, vect
 from grindvision.vision.change.ridge_path import BeadPath, trace_bead
 from grindvision.vision.surface.voxel_grid import voxel_grid
 from grindvision_book.chapter_08.offsets import square_to
-from grindvision_book.chapter_08.registered import RegisteredPair
+from grindvision_book.chapter_08.registered import FIXTURE_REACH_MM, RegisteredPair, fixture_pose
 from grindvision_book.chapter_09.grinding import GroundBead, Wheel, grind, resampled
 
 Floats = NDArray[np.float64]
@@ -150,14 +150,15 @@ def displacement(rng: np.random.Generator, points_mm: Floats, rms_mm: float) -> 
 def _registered(
     pickled_rng: bytes, voxel_mm: float, overlap: float, bead_height_mm: float
 ) -> tuple[GrindingScene, RegisteredPair, Mapping[str, Any]]:
-    """Both scans, filtered and registered, and the generator's state afterwards.
+    """Both scans, filtered and registered from where the fixture holds the parts, and the generator's state afterwards.
 
     The last few are kept: levels of what comes after the registration are tried on one pair of scans.
     """
     rng = pickle.loads(pickled_rng)
     scene = grinding_scene(rng, overlap=overlap, part=_part(bead_height_mm), every=2)
     sample, test = (voxel_grid(scan.points, voxel_mm).centroids for scan in (scene.sample, scene.test))
-    return scene, RegisteredPair.of(sample, test), rng.bit_generator.state
+    roughly = fixture_pose(scene.sample, scene.test, rng.spawn(1)[0])
+    return scene, RegisteredPair.near(sample, test, roughly, FIXTURE_REACH_MM), rng.bit_generator.state
 
 
 @lru_cache(maxsize=4)
