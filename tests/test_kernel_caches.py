@@ -106,7 +106,7 @@ def test_after_compile_no_tool_compiles(tmp_path):
         "c": corner(rng) * [1.0, -1.0, -1.0] + [0, 0, 400.0],
     }
     poses = looking_poses(rng, 8)
-    clouds |= {f"v{k}": sphere_view(seen, 19.05, rng) for k, seen in enumerate(seen_points(poses, rng))}
+    clouds |= {f"v{k}": sphere_view(seen, 19.05, rng, 400) for k, seen in enumerate(seen_points(poses, rng))}
     turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
     np.savetxt(tmp_path / "poses.csv", np.hstack([poses[:, :3, 3], turns]), delimiter=",")
     for name, points in clouds.items():

@@ -85,10 +85,10 @@ def sac_ia_paper(
         if found >= 0:
             samples, partners = threes[defined][found]
             best = fit_rigid(source.points[samples], target.points[partners]).T_target_source
-            least = float(_penalties(best, source.points, tree, t_e).mean())
+            least = float(_penalties(move_points(best, source.points), tree, t_e).mean())
     if refine:
         best = refine_pose(source.points, target.points, best, t_e)
-        least = float(_penalties(best, source.points, tree, t_e).mean())
+        least = float(_penalties(move_points(best, source.points), tree, t_e).mean())
     return CoarseRegistration(best, least, iterations)
 
 
@@ -119,23 +119,23 @@ def _best_pose(poses: Floats, points: Floats, tree: cKDTree, threshold: float, l
     spread = points[np.argsort(np.arange(len(points)) % step, kind="stable")]
     first, *further = np.split(spread, [len(points[::step]) * 3**k for k in range(3)])
     moved = first @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
-    sums = huber(tree.query(moved)[0] ** 2, threshold).sum(axis=1)
+    sums = _penalties(moved, tree, threshold).sum(axis=1)
     for pose in np.argsort(sums, kind="stable"):
         total = sums[pose]
         for part in further:
             if total > (1 + 1e-9) * least * len(points):
                 break
-            total += _penalties(poses[pose], part, tree, threshold).sum()
+            total += _penalties(move_points(poses[pose], part), tree, threshold).sum()
         else:
-            value = float(_penalties(poses[pose], points, tree, threshold).mean())
+            value = float(_penalties(move_points(poses[pose], points), tree, threshold).mean())
             if value < least or (value == least and pose < found):
                 least, found = value, int(pose)
     return found, least
 
 
-def _penalties(pose: Floats, points: Floats, tree: cKDTree, threshold: float) -> Floats:
-    """Penalties (N,) of the squared distances of points (N, 3), moved by a pose, from those of a tree."""
-    return huber(tree.query(move_points(pose, points))[0] ** 2, threshold)
+def _penalties(moved: Floats, tree: cKDTree, threshold: float) -> Floats:
+    """Penalties (..., N) of the squared distances of moved points (..., N, 3) from those of a tree."""
+    return huber(tree.query(moved)[0] ** 2, threshold)
 
 
 def huber(errors: ArrayLike, threshold: float) -> Floats:
