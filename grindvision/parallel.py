@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 _blas_lock = threading.Lock()
 _blas_users = 0
 _blas_limit: Any = None
-_blas_libraries: Any = None
+_pools: Any = None
 _modules_then = 0
 
 
@@ -33,7 +33,7 @@ def one_blas_thread() -> Iterator[None]:
     global _blas_users, _blas_limit
     with _blas_lock:
         if _blas_users == 0:
-            _blas_limit = _loaded_blas().limit(limits=1)
+            _blas_limit = thread_pools().select(user_api="blas").limit(limits=1)
         _blas_users += 1
     try:
         yield
@@ -44,15 +44,15 @@ def one_blas_thread() -> Iterator[None]:
                 _blas_limit.restore_original_limits()
 
 
-def _loaded_blas() -> Any:
-    """Control over the linear algebra libraries; they are sought anew, which takes milliseconds, after an import."""
-    global _blas_libraries, _modules_then
+def thread_pools() -> Any:
+    """Control over the threads of all loaded libraries, which are sought anew, in milliseconds, after an import."""
+    global _pools, _modules_then
     from threadpoolctl import ThreadpoolController
 
     if _modules_then != len(sys.modules):
         _modules_then = len(sys.modules)
-        _blas_libraries = ThreadpoolController().select(user_api="blas")
-    return _blas_libraries
+        _pools = ThreadpoolController()
+    return _pools
 
 
 def usable_cores() -> int:

@@ -15,10 +15,8 @@ import contextlib
 import hashlib
 import os
 import signal
-import sys
 import warnings
 from collections.abc import Callable, Generator, Mapping
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -28,13 +26,13 @@ import numpy as np
 import grindvision
 import grindvision_book
 from grindvision.errors import FileError, GrindvisionError, InputError
+from grindvision.parallel import thread_pools
 from grindvision_book.machinery.dependencies import PACKAGES, modules_of, source_of
 from grindvision_book.studies.cluster import on_cluster
 from grindvision_book.studies.rows import OWN_COLUMNS, BusyError, RowsFile, as_text
 
 if TYPE_CHECKING:
     import pandas as pd
-    from threadpoolctl import ThreadpoolController
 
 #: A case: ``measure(rng=..., **parameters)`` gives named numbers, texts or booleans, and nothing else happens.
 Measure = Callable[..., Mapping[str, Any]]
@@ -176,7 +174,7 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
         threads = numba.get_num_threads()
         numba.set_num_threads(1)
     try:
-        with _thread_pools(len(sys.modules)).limit(limits=1):
+        with thread_pools().limit(limits=1):
             values = measure(rng=case_rng(seed, parameters.get("stream", case)), **given)
     except GrindvisionError as error:
         return {**row, "error": " ".join(f"{type(error).__name__}: {error}".split())}
@@ -188,15 +186,6 @@ def _measured(measure: Measure, case: int, parameters: dict[str, Any], seed: int
     if clash:
         raise RuntimeError(f"case {case}: result {clash[0]!r} is named like a parameter or a reserved column")
     return {**row, "error": "", **values}
-
-
-@lru_cache(maxsize=1)
-def _thread_pools(_modules: int) -> ThreadpoolController:
-    """Control over the threads of numerical libraries; they are sought anew, which takes milliseconds, when modules
-    have been imported."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
 
 
 def _here(
