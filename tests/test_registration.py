@@ -177,13 +177,7 @@ FREE = {
 }
 
 
-#: Those that take longest are for the night.
-BY_NIGHT = ("plane", "sphere")
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.full) if name in BY_NIGHT else name for name in FREE]
-)
+@pytest.mark.parametrize("name", FREE)
 def test_a_symmetric_part_is_refused_and_the_free_motion_named(name):
     surface, motion = FREE[name]
 

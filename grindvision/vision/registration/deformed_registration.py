@@ -23,6 +23,7 @@ from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.deformation import Deformation
 from grindvision.vision.registration.deformation_fit import DeformationFit, fit_deformation
 from grindvision.vision.registration.field_misfit import FieldMisfit, field_misfit
+from grindvision.vision.registration.free_surface import UNRESISTED
 from grindvision.vision.registration.model_registration import model_at_pose, register_to_model
 from grindvision.vision.registration.pair_diagnostics import PairNames
 from grindvision.vision.registration.pose_candidates import Candidate, PoseJudge
@@ -34,7 +35,7 @@ from grindvision.vision.registration.scan_registration import (
     propose,
     register_pair,
 )
-from grindvision.vision.registration.verification import MIN_OVERLAP, UNRESISTED, VerifiedPose
+from grindvision.vision.registration.verification import MIN_OVERLAP, VerifiedPose
 from grindvision.vision.surface.model_surface import ModelSurface, model_surface, whole_scan
 from grindvision.vision.surface.scan import Scan, choose_resolution, prepare_pair, prepare_scan
 from grindvision.vision.surface.surfels import Surfels

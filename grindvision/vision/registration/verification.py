@@ -18,10 +18,10 @@ from grindvision.parallel import one_blas_thread
 from grindvision.vision.registration.agreement import Agreement
 from grindvision.vision.registration.evidence import HARD, LOST
 from grindvision.vision.registration.face_poses import face_poses
-from grindvision.vision.registration.free_motions import motion_name, motion_names
+from grindvision.vision.registration.free_motions import motion_name
+from grindvision.vision.registration.free_surface import UNRESISTED, free_all_over, free_motion
 from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.mirror_image import MirrorImage, mirrored_fit
-from grindvision.vision.registration.plane_icp import NORMAL_NOISE
 from grindvision.vision.registration.plates import lies_beside, plate_poses
 from grindvision.vision.registration.pose_candidates import SURE_AGREEMENT, Candidate, PoseJudge, unlike_poses
 from grindvision.vision.registration.rivals import OVERLAPS, is_contradicted, weak_motions, with_rivals
@@ -50,9 +50,6 @@ TWO_BODIES = (
     " --test-box)"
 )
 """What else may keep scans apart that agree nearly everywhere."""
-
-UNRESISTED = 2 * NORMAL_NOISE**2
-"""A motion that so small a part of the surface resists is held by the errors of the normals alone, and free."""
 
 USUAL_HARD = 0.01
 """Fraction of surfels in front of what the other scanner saw that new material may explain; above, the confidence
@@ -129,6 +126,8 @@ def choose_pose(
     refusal: DegenerateError | None = None
     for one in [judge, judge.without_holes()] if judge.shows_holes else [judge]:
         candidates = _first_candidates(one, source, target, poses, tried, rng)
+        if one is judge and candidates:
+            _check_features(judge, source, target, candidates[0])
         searched.append((one, candidates))
         try:
             found = _chosen(one, candidates)
@@ -148,6 +147,18 @@ def choose_pose(
         if _in_holes(judge, later) <= GAPS:
             return later
     raise refusal or DegenerateError("no pose was found that both scans bear out")
+
+
+def _check_features(judge: PoseJudge, source: Scan, target: Scan, best: Candidate) -> None:
+    """Refuse scans that fit, but by surfaces of which no rival can tell more (``free_all_over``).
+
+    Raises:
+        AmbiguousError: the motion that is free is named.
+    """
+    free = free_all_over(judge, source, target, best)
+    if free.size and judge.agreement(best.pose).fraction_of_overlap >= TRUE_AGREEMENT:
+        _check_fit(judge, best)
+        raise AmbiguousError(free_motion(judge, best, free))
 
 
 def _in_holes(judge: PoseJudge, found: VerifiedPose) -> float:
@@ -272,7 +283,7 @@ def _verdict(judge: PoseJudge, best: Candidate, rivals: list[Candidate]) -> Veri
             " are they scans of the same part, from nearby views?" + (TWO_BODIES if unlike_chance else "")
         )
     if unresisted.size and not (judge.whole and _is_refuted_along(rivals, ratios)):
-        raise AmbiguousError(_free_motion(judge, best, unresisted))
+        raise AmbiguousError(free_motion(judge, best, unresisted))
     if not rivals:
         return VerifiedPose(best.found, found, Agreement(0.0, 0.0), confidence)
     rival = rivals[int(np.argmin(ratios))]
@@ -324,19 +335,10 @@ def _is_refuted_along(rivals: Sequence[Candidate], ratios: Sequence[float]) -> b
 def _ambiguity(judge: PoseJudge, best: Candidate, rival: Candidate, ratio: float) -> str:
     """In words, which motion is open."""
     if rival.free:
-        return _free_motion(judge, best, weak_motions(judge, best))
+        return free_motion(judge, best, weak_motions(judge, best))
     motion = motion_name(rival.pose, best.pose, judge.centre, judge.extent)
     odds = f" as well (odds {np.exp(min(ratio, 9)):.2g} to 1)" if ratio > 0 else ", too, by other signs even better"
     return (
         f"the registration is ambiguous: {motion} fits{odds};"
         " a symmetric part needs a mark or a scan that shows what breaks the symmetry"
-    )
-
-
-def _free_motion(judge: PoseJudge, best: Candidate, twists: Floats) -> str:
-    """In words, that motions (6, K) are free."""
-    names = motion_names(twists * judge.extent, judge.extent, best.found.centre_mm)
-    return (
-        f"the registration is ambiguous, free motion: {'; '.join(names)};"
-        " the part shows nothing that fixes it there, scan more of the part or a part with features"
     )
