@@ -7,6 +7,7 @@ from grindvision.errors import AmbiguousError
 from grindvision.geometry import move_points, rigid, rotate_vectors, rotation_about
 from grindvision.vision.registration import verification
 from grindvision.vision.registration.free_surface import UNRESISTED, least_resistance
+from grindvision.vision.registration.rivals import with_rivals
 from grindvision.vision.registration.scan_registration import register
 
 MOTION = rigid(rotation_about([0.3, -1.0, 0.4], 1.1), [200.0, -50.0, 400.0])
@@ -31,6 +32,18 @@ def seen(points):
     return move_points(rigid(np.diag([1.0, -1.0, -1.0]), [0, 0, 400 + SPHERE_MM]), points)
 
 
+def searches(monkeypatch):
+    """A list that grows with each search for rivals."""
+    asked = []
+
+    def counted(*given):
+        asked.append(given)
+        return with_rivals(*given)
+
+    monkeypatch.setattr(verification, "with_rivals", counted)
+    return asked
+
+
 def test_a_sphere_resists_nothing_and_a_box_all_wherever_they_are_and_in_any_unit():
     points, normals = dome(noise_mm=0.0)
     assert abs(least_resistance(points, normals)) < 1e-12
@@ -45,20 +58,16 @@ def test_a_sphere_resists_nothing_and_a_box_all_wherever_they_are_and_in_any_uni
 
 
 def test_no_rival_is_sought_of_what_neither_scan_can_tell(monkeypatch):
-    def sought(*_):
-        raise AssertionError("rivals of a sphere")
-
-    monkeypatch.setattr(verification, "with_rivals", sought)
+    asked = searches(monkeypatch)
     with pytest.raises(AmbiguousError, match="free motion") as refused:
         register(seen(dome(seed=1)[0]), seen(dome(seed=2)[0]))
     assert str(refused.value).count("; ") == 3  # three motions, and what to do
+    assert not asked
 
 
 def test_a_small_rib_holds_what_it_resists(monkeypatch):
     """The rib covers a fiftieth of the cap, more than the errors of the normals feign: rivals are sought."""
-    asked = []
-    with_rivals = verification.with_rivals
-    monkeypatch.setattr(verification, "with_rivals", lambda *all: asked.append(1) or with_rivals(*all))
+    asked = searches(monkeypatch)
     source, target = dome(2.0, seed=1), dome(2.0, seed=2)
     turned = rigid(rotation_about([0.0, 0.0, 1.0], 0.2))
     found = register(seen(move_points(turned, source[0])), seen(target[0]))
@@ -68,9 +77,7 @@ def test_a_small_rib_holds_what_it_resists(monkeypatch):
 
 
 def test_a_part_of_which_only_one_scan_shows_the_rib_is_refused_after_a_search(monkeypatch):
-    asked = []
-    with_rivals = verification.with_rivals
-    monkeypatch.setattr(verification, "with_rivals", lambda *all: asked.append(1) or with_rivals(*all))
+    asked = searches(monkeypatch)
     with pytest.raises(AmbiguousError, match="free motion"):
         register(seen(dome(2.0, seed=1)[0]), seen(dome(seed=2)[0]))
     assert asked
