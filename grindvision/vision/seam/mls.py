@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
 from grindvision.geometry import check_points
-from grindvision.geometry.hash_grid import CellGrid
 from grindvision.kernels import njit
-from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
+from grindvision.vision.surface.neighbour_sweep import CellSweep, build_sweep, copy_runs, cursor_before, move_to, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
@@ -44,7 +43,7 @@ def smooth_mls(points: ArrayLike, radius_mm: float, order: int = 2) -> Floats:
     if order not in (1, 2):
         raise InputError(f"the MLS order is {order}; use 1 (planes) or 2 (paraboloids)")
     moved = points.copy()
-    sweep(_move, build_sweep(points, radius_mm).grid, np.float32(radius_mm), order, moved)
+    sweep(_move, build_sweep(points, radius_mm), np.float32(radius_mm), order, moved)
     return moved
 
 
@@ -52,34 +51,33 @@ def smooth_mls(points: ArrayLike, radius_mm: float, order: int = 2) -> Floats:
 def _move(
     first: int,
     last: int,
-    grid: CellGrid,
+    cells: CellSweep,
     radius: float,
     order: int,
     moved: Floats,
 ) -> None:
     """Points of cells ``first`` to ``last`` moved onto the polynomial of the given order through their neighbours."""
-    points, members, starts = grid.points, grid.order, grid.starts
-    found = np.empty(4096, np.int64)
-    x, y, z = np.empty(4096, np.float32), np.empty(4096, np.float32), np.empty(4096, np.float32)
+    places, starts = cells.places, cells.starts
+    cursor = cursor_before(first, cells)
+    around = np.empty((3, 4096), np.float32)
     kept = np.empty((3, 4096), np.float32)
     limit = radius * radius
     for cell in range(first, last):
-        found, count = gather(cell, grid, found)
-        if count > len(x):
-            x, y, z = np.empty(2 * count, np.float32), np.empty(2 * count, np.float32), np.empty(2 * count, np.float32)
+        used, count = move_to(cell, cells, cursor)
+        if count > around.shape[1]:
+            around = np.empty((3, 2 * count), np.float32)
             kept = np.empty((3, 2 * count), np.float32)
-        centre = points[members[starts[cell]]]
-        for m in range(count):
-            q = points[found[m]]
-            x[m], y[m], z[m] = q[0] - centre[0], q[1] - centre[1], q[2] - centre[2]
+        centre = places[:, starts[cell]]
+        for axis in range(3):
+            copy_runs(places[axis], cursor.runs, used, centre[axis], around[axis])
         for at in range(starts[cell], starts[cell + 1]):
-            p = members[at]
-            px = np.float32(points[p, 0] - centre[0])
-            py = np.float32(points[p, 1] - centre[1])
-            pz = np.float32(points[p, 2] - centre[2])
+            p = cells.order[at]
+            px = np.float32(places[0, at] - centre[0])
+            py = np.float32(places[1, at] - centre[1])
+            pz = np.float32(places[2, at] - centre[2])
             near = 0
             for m in range(count):
-                dx, dy, dz = x[m] - px, y[m] - py, z[m] - pz
+                dx, dy, dz = around[0, m] - px, around[1, m] - py, around[2, m] - pz
                 kept[0, near], kept[1, near], kept[2, near] = dx, dy, dz
                 near += 1 if dx * dx + dy * dy + dz * dz <= limit else 0
             if near < 3:
@@ -88,9 +86,9 @@ def _move(
             height = sx * nx + sy * ny + sz * nz
             if order == 2 and near >= TERMS:
                 height += _paraboloid(kept, near, height, nx, ny, nz, radius)
-            moved[p, 0] = points[p, 0] + height * nx
-            moved[p, 1] = points[p, 1] + height * ny
-            moved[p, 2] = points[p, 2] + height * nz
+            moved[p, 0] = places[0, at] + height * nx
+            moved[p, 1] = places[1, at] + height * ny
+            moved[p, 2] = places[2, at] + height * nz
 
 
 @njit(cache=True, nogil=True, fastmath=True)
