@@ -17,6 +17,7 @@ from grindvision.errors import DegenerateError, SightError
 from grindvision.extras import extra
 from grindvision.geometry import SphereFit, inverse, move_points, rigid
 from grindvision.geometry.ransac import ransac_sphere
+from grindvision.kernels import njit
 from grindvision.records import by_content
 
 with extra("sim"):
@@ -136,46 +137,82 @@ def sphere_centre_errors(
     Raises:
         DegenerateError: so little of a sphere is seen that its centre is free.
     """
-    centres, down = np.asarray(centres_mm, dtype=float), np.asarray(down, dtype=float)
+    centres, down = np.ascontiguousarray(centres_mm, dtype=float), np.ascontiguousarray(down, dtype=float)
     grid = (np.arange(across) + 0.5) / across * 2 - 1
     a, b = (part.ravel() for part in np.meshgrid(grid, grid))
-    disc = a**2 + b**2 < 1
-    a, b = a[disc], b[disc]
-    view = centres / np.linalg.norm(centres, axis=1, keepdims=True)
-    side = np.cross(view, [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    up = np.cross(view, side)
-    # The image of a near sphere is bounded by the cone of tangent rays, a little in front of the great circle.
-    tangent = SPHERE_RADIUS_MM / np.linalg.norm(centres, axis=1)[:, None, None]
-    across_view = np.sqrt(1 - tangent**2) * (a[:, None] * side[:, None, :] + b[:, None] * up[:, None, :])
-    depth = np.sqrt(1 - (1 - tangent[:, :, 0] ** 2) * (a**2 + b**2))
-    normals = across_view - depth[:, :, None] * view[:, None, :]
-    points = centres[:, None, :] + SPHERE_RADIUS_MM * normals
-
+    disc = np.column_stack([a, b])[a**2 + b**2 < 1]
     errors = scanner.errors
-    seen = (normals @ down[:, :, None])[:, :, 0] < NEST_COSINE
     min_cosine = 0.0 if errors.grazing_deg is None else np.cos(np.radians(errors.grazing_deg))
-    for eye in (np.zeros(3), np.array([scanner.baseline_mm, 0.0, 0.0])):
-        way = eye - points
-        seen &= _products(way, normals) > min_cosine * np.sqrt(_products(way, way))
+    points, normals, seen = _caps(centres, down, disc, scanner.baseline_mm, float(min_cosine))
     systematic = scanner.systematic_mm(points.reshape(-1, 3)).reshape(seen.shape)
     z = points[:, :, 2]
     pixels = np.pi * (SPHERE_RADIUS_MM * scanner.focal_px / z) ** 2
     smoothed = max(4 * np.pi * errors.correlation_length_px**2, 1.0)
     disparity = np.sqrt(errors.triangulation_px**2 + smoothed * errors.correlated_px**2)
-    sigma = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(disc.sum() / pixels)
-    error = systematic + sigma * rng.standard_normal(seen.shape)
-    along = _products(normals, points) / z * error
-    weighted = np.swapaxes(normals * seen[:, :, None], 1, 2)
-    system = weighted @ normals
+    sigma = np.hypot(errors.white_mm, scanner.mm_per_px(z) * disparity) * np.sqrt(len(disc) / pixels)
+    system, right = _centre_equations(points, normals, seen, systematic + sigma * rng.standard_normal(seen.shape))
     if np.linalg.cond(system).max() > 1e6:
         raise DegenerateError("too little of a sphere is seen to locate its centre; choose another direction")
-    return np.linalg.solve(system, weighted @ along[:, :, None])[:, :, 0]
+    moved = np.linalg.solve(system, right[:, :, None])[:, :, 0]
+    return np.asarray(moved, dtype=float)
 
 
-def _products(a: Floats, b: Floats) -> Floats:
-    """Inner products (K, N) of vectors (K, N, 3)."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+@njit(cache=True)
+def _caps(
+    centres: Floats, down: Floats, disc: Floats, baseline_mm: float, min_cosine: float
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Points (K, N, 3) of spheres under places (N, 2) of their images, in radii, the normals there, and which of them
+    are seen: above the nest, and not too obliquely by camera and projector."""
+    shape = len(centres), len(disc)
+    points, normals, seen = np.empty((*shape, 3)), np.empty((*shape, 3)), np.empty(shape, np.bool_)
+    for k in range(shape[0]):
+        centre = centres[k]
+        away = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+        view = centre / away
+        # across the view and the image's y axis, and across both
+        length = np.sqrt(view[0] ** 2 + view[2] ** 2)
+        side = np.array([-view[2] / length, 0.0, view[0] / length])
+        up = np.array([view[1] * side[2], view[2] * side[0] - view[0] * side[2], -view[1] * side[0]])
+        # the image of a near sphere is bounded by the cone of tangent rays, a little in front of the great circle
+        rim = 1 - (SPHERE_RADIUS_MM / away) ** 2
+        for n in range(shape[1]):
+            a, b = disc[n]
+            depth = np.sqrt(1 - rim * (a * a + b * b))
+            below = to_camera = to_projector = way_camera = way_projector = 0.0
+            for axis in range(3):
+                normal = np.sqrt(rim) * (a * side[axis] + b * up[axis]) - depth * view[axis]
+                point = centre[axis] + SPHERE_RADIUS_MM * normal
+                points[k, n, axis], normals[k, n, axis] = point, normal
+                projector = (baseline_mm if axis == 0 else 0.0) - point
+                below += normal * down[k, axis]
+                to_camera -= point * normal
+                way_camera += point * point
+                to_projector += projector * normal
+                way_projector += projector * projector
+            seen[k, n] = (
+                below < NEST_COSINE
+                and to_camera > min_cosine * np.sqrt(way_camera)
+                and to_projector > min_cosine * np.sqrt(way_projector)
+            )
+    return points, normals, seen
+
+
+@njit(cache=True)
+def _centre_equations(points: Floats, normals: Floats, seen: NDArray[np.bool_], error: Floats) -> tuple[Floats, Floats]:
+    """Matrices (K, 3, 3) and right sides (K, 3) of the least squares for how far errors (K, N) of the depths of those
+    points that are seen move the centres."""
+    system, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for k in range(len(points)):
+        for n in range(points.shape[1]):
+            if not seen[k, n]:
+                continue
+            normal, point = normals[k, n], points[k, n]
+            along = (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2]) / point[2] * error[k, n]
+            for i in range(3):
+                right[k, i] += normal[i] * along
+                for j in range(3):
+                    system[k, i, j] += normal[i] * normal[j]
+    return system, right
 
 
 def nest_directions(T_base_scanner: ArrayLike) -> Floats:

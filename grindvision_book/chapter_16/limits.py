@@ -9,12 +9,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from grindvision.cell.grinding_part import grinding_part
 from grindvision.cell.grinding_scene import GrindingScene, grinding_scene
-from grindvision.grinding import Grinding
+from grindvision.grinding import Grinding, GrindOptions
 from grindvision.motion.grinding import plan_grinding
 from grindvision.motion.grinding_options import GrindingOptions
-from grindvision.vision.change.stock import measure_stock
-from grindvision_book.chapter_16.loop import Job, Shop, first_job, first_plan, jobs, true_map, true_volume_mm3
+from grindvision.vision.change.comparison import compare
+from grindvision.vision.change.stock import Stock, measure_stock
+from grindvision.vision.registration.scan_registration import StageClock
+from grindvision_book.chapter_16.loop import Job, Shop, first_job, jobs, true_map, true_volume_mm3
 
 Floats = NDArray[np.float64]
 
@@ -62,13 +65,18 @@ def by_wheel(
     return pd.DataFrame(rows, columns=["varied", "value", "passes", "contact_s", "left_95_mm", "gouge_mm"])
 
 
-def volumes(seeds: Sequence[int], every: int) -> pd.DataFrame:
-    """Volume of the bead of several instruments, with sigma, against the solid's."""
-    rows = []
-    for seed in seeds:
-        scene = grinding_scene(np.random.default_rng(seed), every=every)
-        piece = first_plan(scene, Shop(touched_off=True)).stock.pieces[0]
-        rows.append((seed, true_volume_mm3(scene), piece.volume_mm3, piece.volume_sigma_mm3))
+def volumes(first: tuple[int, GrindingScene, Stock], others: Sequence[int], every: int) -> pd.DataFrame:
+    """Volume of the bead of several instruments, with sigma, against the solid's: of the ``first``, its seed, scene and
+    stock, and of ``others``, their seeds, which scan the same part."""
+    seed, scene, stock = first
+    measured = [(seed, stock)]
+    for seed in others:
+        pair = grinding_scene(np.random.default_rng(seed), part=scene.part, every=every)
+        compared = compare(pair.sample.points, pair.test.points, GrindOptions(), StageClock())
+        found = compared.registration
+        measured.append((seed, measure_stock(found.source, found.target, found.fine, compared.difference)))
+    true_mm3 = true_volume_mm3(scene)
+    rows = [(seed, true_mm3, of.pieces[0].volume_mm3, of.pieces[0].volume_sigma_mm3) for seed, of in measured]
     table = pd.DataFrame(rows, columns=["seed", "true_mm3", "found_mm3", "sigma_mm3"])
     return table.assign(off_percent=100 * (table["found_mm3"] / table["true_mm3"] - 1))
 
@@ -76,8 +84,9 @@ def volumes(seeds: Sequence[int], every: int) -> pd.DataFrame:
 def learnt(seeds: Sequence[int], k_factor: float, passes: GrindingOptions, every: int) -> pd.DataFrame:
     """Preston's coefficient from one scan after some passes of a wheel that is touched off, against the true one."""
     rows = []
+    part = grinding_part()
     for seed in seeds:
-        scene = grinding_scene(np.random.default_rng(seed), every=every)
+        scene = grinding_scene(np.random.default_rng(seed), part=part, every=every)
         told = next(jobs(scene, Shop(k_factor, touched_off=True, passes=passes), seed, every)).learnt
         if told is not None:
             sigma = told.k_sigma_mm2_n / passes.k_mm2_n

@@ -147,9 +147,8 @@ def jobs(scene: GrindingScene, shop: Shop, seed: int, every: int = 1) -> Iterato
     )
     serial = int(np.random.default_rng(seed).integers(2**31))
     for number in range(1, MAX_SCANS + 1):
-        fresh = grinding_scene(
-            np.random.default_rng([seed, number]), scanner=StructuredLightScanner(serial=serial), every=every
-        ).test
+        rng, scanner = np.random.default_rng([seed, number]), StructuredLightScanner(serial=serial)
+        fresh = grinding_scene(rng, part=scene.part, scanner=scanner, every=every).test
         T_test_fresh = inverse(scene.test.T_world_scanner) @ fresh.T_world_scanner
         points = lowered(fresh.points, grid, np.nan_to_num(standing - left), T_test_fresh)
         asked = GrindAgainOptions(tolerance_mm=TOLERANCE_MM, T_base_scanner=fresh.T_world_scanner)

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import DegenerateError, InputError
 from grindvision.geometry import check_points, vector_angle
-from grindvision.geometry.hash_grid import CellGrid
 from grindvision.kernels import njit
 from grindvision.records import by_content
-from grindvision.vision.surface.neighbour_sweep import build_sweep, gather, sweep
+from grindvision.vision.surface.neighbour_sweep import CellSweep, build_sweep, copy_runs, cursor_before, move_to, sweep
 from grindvision.vision.surface.normals import smallest_eigenpair
 
 Floats = NDArray[np.float64]
@@ -93,7 +92,7 @@ def plane_normals(points: ArrayLike, radius_mm: float, towards: ArrayLike) -> Fl
         raise InputError(f"the normal radius is {radius_mm} mm; it must be above zero")
     up = np.broadcast_to(np.asarray(towards, dtype=float), points.shape)
     normals = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12)
-    sweep(_normals, build_sweep(points, radius_mm).grid, np.float32(radius_mm), normals)
+    sweep(_normals, build_sweep(points, radius_mm), np.float32(radius_mm), normals)
     return normals
 
 
@@ -117,7 +116,9 @@ def groove_features(points: ArrayLike, normals: ArrayLike, radius_mm: float) -> 
     base = base_normal(normals)
     turn = np.degrees(vector_angle(normals, base)).astype(np.float32)
     local, whole = np.zeros(len(points)), np.zeros(len(points))
-    sweep(_angles, build_sweep(points, radius_mm).grid, np.float32(radius_mm), normals, turn, local, whole)
+    cells = build_sweep(points, radius_mm)
+    sorted_normals = np.ascontiguousarray(normals[cells.order].T)
+    sweep(_angles, cells, np.float32(radius_mm), sorted_normals, turn[cells.order], local, whole)
     return GrooveFeatures(local, whole, base)
 
 
@@ -136,7 +137,8 @@ def vote(points: ArrayLike, marked: ArrayLike, radius_mm: float) -> Flags:
     """Majority vote: a point is marked when more than half of all points within ``radius_mm``, itself included, are."""
     points = check_points(points, "points")
     result = np.zeros(len(points), dtype=bool)
-    sweep(_vote, build_sweep(points, radius_mm).grid, np.float32(radius_mm), np.asarray(marked, dtype=bool), result)
+    cells = build_sweep(points, radius_mm)
+    sweep(_vote, cells, np.float32(radius_mm), np.asarray(marked, dtype=np.float32)[cells.order], result)
     return result
 
 
@@ -144,33 +146,32 @@ def vote(points: ArrayLike, marked: ArrayLike, radius_mm: float) -> Flags:
 def _normals(
     first: int,
     last: int,
-    grid: CellGrid,
+    cells: CellSweep,
     radius: float,
     normals: Floats,
 ) -> None:
     """Unit normals (N, 3) of the points in cells ``first`` to ``last``, by the direction of least variance."""
-    points, order, starts = grid.points, grid.order, grid.starts
-    found = np.empty(1024, np.int64)
-    x, y, z = np.empty(1024, np.float32), np.empty(1024, np.float32), np.empty(1024, np.float32)
+    places, order, starts = cells.places, cells.order, cells.starts
+    cursor = cursor_before(first, cells)
+    near = np.empty((3, 1024), np.float32)
     limit = radius * radius
     zero: Any = np.float32(0)
     one: Any = np.float32(1)
     for cell in range(first, last):
-        found, count = gather(cell, grid, found)
-        if count > len(x):
-            x, y, z = np.empty(2 * count, np.float32), np.empty(2 * count, np.float32), np.empty(2 * count, np.float32)
-        centre = points[order[starts[cell]]]
-        for m in range(count):
-            q = points[found[m]]
-            x[m], y[m], z[m] = q[0] - centre[0], q[1] - centre[1], q[2] - centre[2]
+        used, count = move_to(cell, cells, cursor)
+        if count > near.shape[1]:
+            near = np.empty((3, 2 * count), np.float32)
+        centre = places[:, starts[cell]]
+        for axis in range(3):
+            copy_runs(places[axis], cursor.runs, used, centre[axis], near[axis])
         for at in range(starts[cell], starts[cell + 1]):
             p = order[at]
-            px = np.float32(points[p, 0] - centre[0])
-            py = np.float32(points[p, 1] - centre[1])
-            pz = np.float32(points[p, 2] - centre[2])
+            px = np.float32(places[0, at] - centre[0])
+            py = np.float32(places[1, at] - centre[1])
+            pz = np.float32(places[2, at] - centre[2])
             n, sx, sy, sz, xx, xy, xz, yy, yz, zz = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
             for m in range(count):
-                dx, dy, dz = x[m] - px, y[m] - py, z[m] - pz
+                dx, dy, dz = near[0, m] - px, near[1, m] - py, near[2, m] - pz
                 w = one if dx * dx + dy * dy + dz * dz <= limit else zero
                 n += w
                 sx += w * dx
@@ -198,7 +199,7 @@ def _normals(
 def _angles(
     first: int,
     last: int,
-    grid: CellGrid,
+    cells: CellSweep,
     radius: float,
     normals: Floats,
     turn: Floats,
@@ -206,8 +207,8 @@ def _angles(
     whole: Floats,
 ) -> None:
     """Variances (N,) of the two angles of the histogram over the neighbours of the points of some cells."""
-    points, order, starts = grid.points, grid.order, grid.starts
-    found = np.empty(1024, np.int64)
+    places, order, starts = cells.places, cells.order, cells.starts
+    cursor = cursor_before(first, cells)
     near = np.empty((7, 1024), np.float32)
     limit = radius * radius
     zero: Any = np.float32(0)
@@ -216,23 +217,21 @@ def _angles(
     k0, k1, k2, k3, k4, k5, k6, k7 = ACOS
     pi = np.float32(np.pi)
     for cell in range(first, last):
-        found, count = gather(cell, grid, found)
+        used, count = move_to(cell, cells, cursor)
         if count > near.shape[1]:
             near = np.empty((7, 2 * count), np.float32)
-        centre = points[order[starts[cell]]]
-        for m in range(count):
-            q = found[m]
-            for axis in range(3):
-                near[axis, m] = points[q, axis] - centre[axis]
-                near[3 + axis, m] = normals[q, axis]
-            near[6, m] = turn[q]
+        centre = places[:, starts[cell]]
+        for axis in range(3):
+            copy_runs(places[axis], cursor.runs, used, centre[axis], near[axis])
+            copy_runs(normals[axis], cursor.runs, used, 0.0, near[3 + axis])
+        copy_runs(turn, cursor.runs, used, 0.0, near[6])
         for at in range(starts[cell], starts[cell + 1]):
             p = order[at]
-            px = np.float32(points[p, 0] - centre[0])
-            py = np.float32(points[p, 1] - centre[1])
-            pz = np.float32(points[p, 2] - centre[2])
-            nx, ny, nz = np.float32(normals[p, 0]), np.float32(normals[p, 1]), np.float32(normals[p, 2])
-            here = turn[p]
+            px = np.float32(places[0, at] - centre[0])
+            py = np.float32(places[1, at] - centre[1])
+            pz = np.float32(places[2, at] - centre[2])
+            nx, ny, nz = np.float32(normals[0, at]), np.float32(normals[1, at]), np.float32(normals[2, at])
+            here = turn[at]
             n, t1, t2, g1, g2 = -one, zero, zero, zero, zero
             for m in range(count):
                 dx, dy, dz = near[0, m] - px, near[1, m] - py, near[2, m] - pz
@@ -261,38 +260,34 @@ def _angles(
 def _vote(
     first: int,
     last: int,
-    grid: CellGrid,
+    cells: CellSweep,
     radius: float,
-    marked: Flags,
+    marked: NDArray[np.float32],
     result: Floats,
 ) -> None:
     """Whether most neighbours of each point of cells ``first`` to ``last`` are ``marked`` (N,), into ``result``
     (N,)."""
-    points, order, starts = grid.points, grid.order, grid.starts
-    found = np.empty(1024, np.int64)
+    places, order, starts = cells.places, cells.order, cells.starts
+    cursor = cursor_before(first, cells)
     near = np.empty((4, 1024), np.float32)
     limit = radius * radius
     zero: Any = np.float32(0)
     one: Any = np.float32(1)
     for cell in range(first, last):
-        found, count = gather(cell, grid, found)
+        used, count = move_to(cell, cells, cursor)
         if count > near.shape[1]:
             near = np.empty((4, 2 * count), np.float32)
-        centre = points[order[starts[cell]]]
-        any_marked = False
-        for m in range(count):
-            q = found[m]
-            for axis in range(3):
-                near[axis, m] = points[q, axis] - centre[axis]
-            near[3, m] = one if marked[q] else zero
-            any_marked = any_marked or marked[q]
-        if not any_marked:
+        copy_runs(marked, cursor.runs, used, 0.0, near[3])
+        if near[3, :count].max() == 0:
             continue
+        centre = places[:, starts[cell]]
+        for axis in range(3):
+            copy_runs(places[axis], cursor.runs, used, centre[axis], near[axis])
         for at in range(starts[cell], starts[cell + 1]):
             p = order[at]
-            px = np.float32(points[p, 0] - centre[0])
-            py = np.float32(points[p, 1] - centre[1])
-            pz = np.float32(points[p, 2] - centre[2])
+            px = np.float32(places[0, at] - centre[0])
+            py = np.float32(places[1, at] - centre[1])
+            pz = np.float32(places[2, at] - centre[2])
             n, yes = zero, zero
             for m in range(count):
                 dx, dy, dz = near[0, m] - px, near[1, m] - py, near[2, m] - pz
