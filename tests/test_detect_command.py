@@ -180,7 +180,10 @@ def model_files(folder):
 
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, tmp_path, capsys):
-    """With the field, bent scans give the result of true ones; a model, which no scanner bent, stays as it is."""
+    """With the field, bent scans give the result of true ones; a model, which no scanner bent, stays as it is.
+
+    The mesh's two files hold the same model: one of them says what is wanted of both.
+    """
     folder, case = scene
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 41), np.linspace(-0.5, 0.5, 41), indexing="ij")
     error = np.repeat((0.4 * np.cos(9 * u + 1) * np.cos(7 * v))[:, :, None], 2, axis=2)
@@ -202,7 +205,7 @@ def test_a_field_is_taken_off_what_the_scanner_measured_and_nothing_else(scene, 
     for sample, true_sample, more in (
         ("sample.ply", folder / "sample.ply", ()),
         ("faces.ply", tmp_path / "faces.ply", ()),
-        ("model.obj", tmp_path / "model.obj", ()),
+        ("model.obj", tmp_path / "faces.ply", ()),
         ("points.ply", tmp_path / "points.ply", ("--sample-model",)),
     ):
         wanted, path = found(true_sample, folder / "test.ply")

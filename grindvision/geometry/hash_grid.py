@@ -30,7 +30,8 @@ class CellGrid(NamedTuple):
     A named tuple, so that kernels take it whole. Cells are numbered by their coordinates, x slowest, whatever the order
     of the points. ``order`` (N,) lists the points cell by cell; cell c owns ``order[starts[c]:starts[c + 1]]``.
     ``table_keys`` and ``table_cells`` are the open-addressed table from packed cell coordinates to c. ``blocks`` (I, J,
-    K) marks the cubes of ``2**block_bits`` cells that hold a cell: a search goes round the others.
+    K) are cubes of ``2**block_bits`` cells on an edge, cut into 64 parts, of which a bit each says whether it holds a
+    cell (``in_block``): a search goes round the others, and asks the table only for what may be there.
     """
 
     points: Floats
@@ -41,7 +42,7 @@ class CellGrid(NamedTuple):
     table_keys: Integers
     table_cells: NDArray[np.int32]
     block_bits: int
-    blocks: NDArray[np.bool_]
+    blocks: Integers
 
     @property
     def keys(self) -> Integers:
@@ -82,10 +83,10 @@ def grid_of_means(
     return CellGrid(means, float(size_mm), origin, cells[:-1], cells, *table, *blocks_of(keys))
 
 
-def blocks_of(keys: Integers) -> tuple[int, NDArray[np.bool_]]:
+def blocks_of(keys: Integers) -> tuple[int, Integers]:
     """``block_bits`` and ``blocks`` (I, J, K) of cells with the given keys (C,), as ``CellGrid`` has them."""
     if not len(keys):
-        return 2, np.zeros((1, 1, 1), dtype=np.bool_)
+        return 2, np.zeros((1, 1, 1), dtype=np.int64)
     highest = _highest(keys)
     bits = max(2, int(highest.max() // _BLOCKS).bit_length())
     return bits, _marked(keys, bits, highest)
@@ -194,22 +195,36 @@ def _highest(keys: Integers) -> Integers:
 
 
 @njit(cache=True, nogil=True)
-def _marked(keys: Integers, bits: int, highest: Integers) -> NDArray[np.bool_]:
-    """Marks of the cubes of ``2**bits`` cells that hold one of the cells with the given keys (C,)."""
+def _marked(keys: Integers, bits: int, highest: Integers) -> Integers:
+    """The cubes of ``2**bits`` cells on an edge, with the bits of the parts that hold one of the cells (C,)."""
     axis = (1 << 21) - 1
-    marks = np.zeros(((highest[0] >> bits) + 1, (highest[1] >> bits) + 1, (highest[2] >> bits) + 1), dtype=np.bool_)
+    marks = np.zeros(((highest[0] >> bits) + 1, (highest[1] >> bits) + 1, (highest[2] >> bits) + 1), dtype=np.int64)
     for key in keys:
-        marks[key >> 42 >> bits, ((key >> 21) & axis) >> bits, (key & axis) >> bits] = True
+        i, j, k = key >> 42, (key >> 21) & axis, key & axis
+        marks[i >> bits, j >> bits, k >> bits] |= np.int64(1) << _part(i, j, k, bits)
     return marks
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _part(i: int, j: int, k: int, bits: int) -> int:
+    """Which of the 64 parts of its cube a cell lies in: four along each axis."""
+    cut = bits - 2
+    return (i >> cut & 3) << 4 | (j >> cut & 3) << 2 | (k >> cut & 3)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def in_block(blocks: Integers, bits: int, i: int, j: int, k: int) -> bool:
+    """Whether the part of a cube in which a cell lies holds one; the cell must lie in one of the ``blocks``."""
+    return (blocks[i >> bits, j >> bits, k >> bits] >> _part(i, j, k, bits)) & 1 != 0
+
+
 @njit(cache=True, nogil=True)
-def any_in_blocks(blocks: NDArray[np.bool_], low: tuple[int, int, int], high: tuple[int, int, int]) -> bool:
-    """Whether one of the ``blocks`` from ``low`` to ``high``, both included, is marked."""
+def any_in_blocks(blocks: Integers, low: tuple[int, int, int], high: tuple[int, int, int]) -> bool:
+    """Whether one of the ``blocks`` from ``low`` to ``high``, both included, holds a cell."""
     for i in range(max(low[0], 0), min(high[0] + 1, blocks.shape[0])):
         for j in range(max(low[1], 0), min(high[1] + 1, blocks.shape[1])):
             for k in range(max(low[2], 0), min(high[2] + 1, blocks.shape[2])):
-                if blocks[i, j, k]:
+                if blocks[i, j, k] != 0:
                     return True
     return False
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grindvision.errors import InputError
-from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, any_in_blocks, cell_key, find_slot
+from grindvision.geometry.hash_grid import AXIS_CELLS, CellGrid, any_in_blocks, cell_key, find_slot, in_block
 from grindvision.kernels import njit
 from grindvision.records import by_content
 
@@ -104,7 +104,7 @@ def nearest_one(
                 for k in range(k0 - ring, k0 + ring + 1, step):
                     if k < 0 or k >= blocks.shape[2] << bits or away_ij + _gap(cz, k) > limit:
                         continue
-                    if ring > 1 and not blocks[i >> bits, j >> bits, k >> bits]:
+                    if not in_block(blocks, bits, i, j, k):
                         continue
                     slot = find_slot(table_keys, cell_key(i, j, k))
                     if table_keys[slot] < 0:

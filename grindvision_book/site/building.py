@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import hashlib
 import io
@@ -157,9 +158,12 @@ def _no_chapter_or_exercise(folder: str, names: list[str]) -> list[str]:
 def _run_sphinx(sources: Path, doctrees: Path, pages: Path, extra: list[str]) -> None:
     from sphinx.application import Sphinx
     from sphinx.errors import SphinxError
+    from sphinx.search.en import SearchEnglish
     from sphinx.util.console import nocolor
 
     nocolor()
+    if not hasattr(SearchEnglish.stem, "cache_info"):  # Sphinx remembers the stems of words of one page alone
+        SearchEnglish.stem = functools.cache(SearchEnglish.stem)  # type: ignore[method-assign]
     complaints = io.StringIO()
     try:
         app = Sphinx(

@@ -220,14 +220,19 @@ def _match(
 @njit(cache=True, nogil=True)
 def _sought(p: int, x: float, y: float, z: float, grid: CellGrid, limits: _Limits, found: _Matches) -> int:
     """Index of the plane nearest to point p at (x, y, z), -1 where there is none within the limit: without a search
-    where the last one found none and the point has moved less since than the nearest plane was beyond the limit."""
-    lost, clear = found.lost, found.clear
+    where the last one found none and the point has moved less since than the nearest plane was beyond the limit, and
+    not beyond the plane that it has."""
+    lost, clear, points, had = found.lost, found.clear, grid.points, found.planes[p]
     if clear[p] > 0.0:
         dx, dy, dz = x - lost[p, 0], y - lost[p, 1], z - lost[p, 2]
         if dx * dx + dy * dy + dz * dz < clear[p] * clear[p]:
             return -1
     max_mm, slack_mm = limits.max_mm, limits.slack_mm
-    q, squared = nearest_one(x, y, z, max_mm + slack_mm, grid)
+    reach = max_mm + slack_mm
+    if had >= 0 and found.sought[p, 0] < np.inf:
+        dx, dy, dz = x - points[had, 0], y - points[had, 1], z - points[had, 2]
+        reach = min(reach, (1 + 1e-9) * np.sqrt(dx * dx + dy * dy + dz * dz))
+    q, squared = nearest_one(x, y, z, reach, grid)
     if q >= 0 and squared <= max_mm * max_mm:
         clear[p] = 0.0
         return q

@@ -23,7 +23,7 @@ from grindvision.vision.registration.icp import FineRegistration
 from grindvision.vision.registration.plane_icp import icp_planes, plane_residuals
 from grindvision.vision.surface.rims import point_spacing
 from grindvision.vision.surface.scan import Scan
-from grindvision.vision.surface.surfels import same_within
+from grindvision.vision.surface.surfels import Surfels, same_within
 
 Floats = NDArray[np.float64]
 
@@ -87,6 +87,7 @@ class PoseJudge:
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
         self._scans = source, target
         self._off: dict[bytes, Floats] = {}
+        self._came_to: dict[tuple[bytes, int, float, int], FineRegistration | None] = {}
 
     @property
     def shows_holes(self) -> bool:
@@ -97,7 +98,7 @@ class PoseJudge:
 
     def without_holes(self) -> PoseJudge:
         """The same, for scans with gaps where the part has surface: what lies in a hole tells no more than what lies
-        beside the outline."""
+        beside the outline. Where ICP comes to from a pose is remembered for both."""
         other = copy(self)
         other.source, other.target = (
             one._replace(image=one.image._replace(bridge=np.full_like(one.image.bridge, -np.inf)))
@@ -140,9 +141,9 @@ class PoseJudge:
         try:
             if far:
                 pose = self.neared(pose)
-            found = icp_planes(points, normals, self.coarse, pose, 1.5 * voxel, self.within_mm, iterations=10)
+            found = self._icp(points, normals, self.coarse, pose, (1.5 * voxel, self.within_mm, 10))
             pose = found.T_target_source
-            found = icp_planes(points, normals, self.fine, pose, 2 * size, self.within_mm / 3, iterations=12)
+            found = self._icp(points, normals, self.fine, pose, (2 * size, self.within_mm / 3, 12))
         except DegenerateError:
             return None
         return Candidate(found, self.evidence(found.T_target_source, 500).cost(), free)
@@ -155,7 +156,27 @@ class PoseJudge:
         """
         fewer, normals = self.points[:REFINED:3].copy(), self.normals[:REFINED:3].copy()
         voxel = self.coarse.grid.size_mm
-        return icp_planes(fewer, normals, self.coarse, pose, 5 * voxel, voxel, iterations=8).T_target_source
+        return self._icp(fewer, normals, self.coarse, pose, (5 * voxel, voxel, 8)).T_target_source
+
+    def _icp(
+        self, points: Floats, normals: Floats, target: Surfels, pose: Floats, limits: tuple[float, float, int]
+    ) -> FineRegistration:
+        """``icp_planes`` of points (N, 3) with normals (N, 3), remembered; ``limits``: the reach, the floor of the
+        residuals' spread, both mm, and the iterations.
+
+        Raises:
+            DegenerateError: the scans do not meet there.
+        """
+        asked = np.asarray(pose, dtype=float).tobytes(), len(points), limits[0], limits[2]
+        if asked not in self._came_to:
+            try:
+                self._came_to[asked] = icp_planes(points, normals, target, pose, *limits)
+            except DegenerateError:
+                self._came_to[asked] = None
+        found = self._came_to[asked]
+        if found is None:
+            raise DegenerateError("the scans do not meet there")
+        return found
 
     def neared_all(self, poses: Iterable[Floats]) -> list[Floats]:
         """``neared`` of several poses, in two threads; those where the scans do not meet are left out."""
@@ -174,9 +195,9 @@ class PoseJudge:
 
     def at_rest(self, one: Candidate) -> Candidate | None:
         """ICP of all ``points`` until the candidate rests."""
-        reach, floor = 1.5 * self.fine.grid.size_mm, self.within_mm / 3
+        limits = 1.5 * self.fine.grid.size_mm, self.within_mm / 3, 60
         try:
-            found = icp_planes(self.points, self.normals, self.fine, one.pose, reach, floor, iterations=60)
+            found = self._icp(self.points, self.normals, self.fine, one.pose, limits)
         except DegenerateError:
             return None
         return Candidate(found, self.evidence(found.T_target_source).cost(), one.free)
