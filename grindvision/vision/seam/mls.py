@@ -258,7 +258,7 @@ def _weigh(kept: Singles, near: int, frame: tuple[Row, Row, Row], foot: np.float
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _third_and_fourth_moments(kept: Singles, near: int, equations: Floats) -> None:
-    """The sums that ``_weights`` leaves out, from what it leaves behind."""
+    """The sums that ``_weigh`` leaves out, from what it leaves behind."""
     zero: Any = np.float32(0)
     m30, m21, m12, m03, m40, m31, m22, m13, m04 = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for m in range(near):
