@@ -59,9 +59,8 @@ def fixed_base_start(measurements: Measurements, arm: MdhArm, rng: np.random.Gen
         place = rigid(translation_mm=np.median(points, axis=0) - measurements.scanner_mm[0])
         return ScannerOnArm(arm, place, np.eye(4))
     rows = np.arange(len(measurements))
-    triples = np.array([rng.choice(rows, 3, replace=False) for _ in range(SUBSETS)])
     places = []
-    for chosen in (rows, triples[_best_triple(measurements.scanner_mm, points, triples)]):
+    for chosen in [rows, *(rng.choice(rows, 3, replace=False) for _ in range(SUBSETS))]:
         try:
             places.append(fit_rigid(measurements.scanner_mm[chosen], points[chosen]).T_target_source)
         except DegenerateError:
@@ -73,21 +72,6 @@ def fixed_base_start(measurements: Measurements, arm: MdhArm, rng: np.random.Gen
         key=lambda place: np.median(np.linalg.norm(points - move_points(place, measurements.scanner_mm), axis=1)),
     )
     return ScannerOnArm(arm, best, np.eye(4))
-
-
-def _best_triple(source: Floats, target: Floats, triples: NDArray[np.int64]) -> int:
-    """Which of the ``triples`` (S, 3) of points (M, 3) gives the rigid motion onto the ``target`` (M, 3) with the least
-    median error; one on a line gives none."""
-    sources, targets = source[triples], target[triples]
-    from_source, from_target = (part - part.mean(axis=1, keepdims=True) for part in (sources, targets))
-    rotations = nearest_rotation(np.swapaxes(from_target, 1, 2) @ from_source)
-    shifts = targets.mean(axis=1) - (rotations @ sources.mean(axis=1)[:, :, None])[:, :, 0]
-    off = target - (source @ np.swapaxes(rotations, 1, 2) + shifts[:, None])
-    errors = np.median(np.linalg.norm(off, axis=2), axis=1)
-    for part, points in ((from_source, sources), (from_target, targets)):
-        largest, second, _ = np.linalg.svd(part / np.sqrt(3), compute_uv=False).T
-        errors[second <= 1e-9 * np.maximum(largest, np.abs(points).max(axis=(1, 2)) * 1e-6)] = np.inf
-    return int(np.argmin(errors))
 
 
 def free_base_starts(

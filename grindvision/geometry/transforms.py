@@ -71,10 +71,9 @@ def unit_vectors(vectors: ArrayLike) -> Floats:
 
 
 def nearest_rotation(matrix: ArrayLike) -> Floats:
-    """Return the rotation matrices (..., 3, 3) nearest to each ``matrix`` in the Frobenius norm (SVD, reflection
-    guarded)."""
+    """Return the rotation matrix (3, 3) nearest to ``matrix`` in the Frobenius norm (SVD, reflection guarded)."""
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=float))
-    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
     return u @ vt
 
 
