@@ -87,7 +87,7 @@ class PoseJudge:
         self._judged: dict[tuple[bytes, int | None], Evidence] = {}
         self._scans = source, target
         self._off: dict[bytes, Floats] = {}
-        self._came_to: dict[tuple[bytes, int, float, int], FineRegistration | None] = {}
+        self._came_to: dict[tuple[bytes, int, int, tuple[float, float, int]], FineRegistration | None] = {}
 
     @property
     def shows_holes(self) -> bool:
@@ -167,7 +167,7 @@ class PoseJudge:
         Raises:
             DegenerateError: the scans do not meet there.
         """
-        asked = np.asarray(pose, dtype=float).tobytes(), len(points), limits[0], limits[2]
+        asked = np.asarray(pose, dtype=float).tobytes(), id(target), len(points), limits
         if asked not in self._came_to:
             try:
                 self._came_to[asked] = icp_planes(points, normals, target, pose, *limits)
